@@ -94,7 +94,8 @@ def twins(changes):
 def assert_moved(there, here):
     """Poses (..., 4, 4) are those at the origin, moved along with the base, to 1e-9 of the
     length."""
-    np.testing.assert_allclose(there, BASE.pose @ here, rtol=0.0, atol=3e-10)
+    expected = BASE.pose @ here
+    np.testing.assert_allclose(there, expected, rtol=0.0, atol=3e-10)
 
 
 @pytest.mark.parametrize("changes", CASES)
@@ -184,7 +185,8 @@ def test_model_predictive_control_behind_a_kalman_filter_does_not_know_where_the
             memory = decision.memory
             sent = [*sent, decision.tension]
             arm.step(decision.tension, 0.02)
-            errors.append(np.linalg.norm(arm.tip_pose[:3, 3] - goal.tip_pose[0, :3, 3]))
+            error = np.linalg.norm(arm.tip_pose[:3, 3] - goal.tip_pose[0, :3, 3])
+            errors.append(error)
     here, there = np.split(np.array(errors), 2)
     assert here[-1] < 0.5 * here[0]
     np.testing.assert_allclose(there, here, atol=1e-9)

@@ -36,7 +36,8 @@ def test_a_model_of_other_coordinates_errs_most_in_the_hardest_draw(kind, dampin
     modes = {"strains": list(scene.strain.free), "order": 6, "span": "rod"}
     steps = {"tolerance": 1e-5, "max_halvings": 16}
     strain = {"type": "statics_based", "passive": [moments]}
-    model = build_model(scene.replace({"strain": strain, "integrator": steps}))
+    changes = {"strain": strain, "integrator": steps}
+    model = build_model(scene.replace(changes))
     explicit = {"type": "explicit", "modes": [modes]}
     exact = build_model(scene.replace({"strain": explicit, "integrator": steps}))
 
@@ -76,7 +77,8 @@ def test_an_arm_that_rests_nowhere_has_the_first_draw(monkeypatch):
     monkeypatch.setattr(module, "start_at_rest", lambda model: None)
     scene = arm(4e3)
     hardest = HardestMotions(scene).hardest("redrawn", 3, 0.2)
-    np.testing.assert_array_equal(hardest, motion_tensions(scene, "redrawn", 3, 0.2))
+    expected_hardest = motion_tensions(scene, "redrawn", 3, 0.2)
+    np.testing.assert_array_equal(hardest, expected_hardest)
 
 
 def test_commands_of_stiff_tendons_are_tensions():

@@ -65,7 +65,8 @@ def test_abrupt_loads_make_no_phantom_tensions(name):
     )
     greatest = np.array([tendon.tension_limits[1] for tendon in scene.tendons])
     for step, factor, pulled in itertools.product((0.01, 0.02), (1.0, 2.5), (1, 2, greatest.size)):
-        model = model_on(scene.replace({"integrator": {"step": step}}), 6)
+        changes = {"integrator": {"step": step}}
+        model = model_on(scene.replace(changes), 6)
         is_pulled = np.arange(greatest.size) < pulled
         tension = factor * greatest * is_pulled
         with warnings.catch_warnings(action="ignore", category=TensionLimitWarning):

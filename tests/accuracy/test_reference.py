@@ -47,7 +47,8 @@ def test_the_error_bar_bounds_the_error():
 
 
 def test_parts_turn_once_at_most():
-    spring = ARM.replace({"segments.0.curvature": [0.0, 0.0, 2.5 * 2.0 * np.pi / 0.3]})
+    changes = {"segments.0.curvature": [0.0, 0.0, 2.5 * 2.0 * np.pi / 0.3]}
+    spring = ARM.replace(changes)
     np.testing.assert_allclose(part_borders(spring), [0.1, 0.2])
     assert part_borders(ARM) == []
     assert len(part_borders(ARM, 4)) == 3

@@ -283,7 +283,8 @@ def test_a_trial_has_loads_up_to_its_range(monkeypatch):
     assert {test.case for test in trial.tests if test.reference.is_equilibrium} == {0, 1, 2}
     assert {test.case for test in trial.tests if not test.reference.is_equilibrium} == {0, 1}
     for test in trial.tests[:4]:
-        loaded = build_model(trial.scene.replace({"effects": trial.cases[test.case]}))
+        changes = {"effects": trial.cases[test.case]}
+        loaded = build_model(trial.scene.replace(changes))
         exact = reference_motions(loaded.scene, [test.commands], 1e-2 * trial.unit).tips[0]
         assert distance(test.reference.tips, exact) <= test.reference.error
     assert reaches(ARM) == (REACH, 1.0)
@@ -323,7 +324,8 @@ def test_larger_loads_are_not_asked_for_where_they_cannot_be_met(
 
 def standing(young_modulus):
     """The arm that ships, with this Young's modulus [Pa], upright under its weight."""
-    return SHIPPED.replace({**STANDS, "segments.0.young_modulus": young_modulus})
+    changes = {**STANDS, "segments.0.young_modulus": young_modulus}
+    return SHIPPED.replace(changes)
 
 
 @pytest.mark.slow
@@ -601,7 +603,8 @@ def test_where_there_is_no_reference_it_says_why_and_what_to_do(
     choice = chosen_under(loads, 3, np.inf)._replace(missing=missing, not_unique=not_unique)
     monkeypatch.setattr(coordinate_search, "search", lambda scene, asked, least: choice)
     monkeypatch.setattr(kept_trials, "say_once", print)
-    other = ARM.replace({"segments.0.density": 700.0 + missing})
+    changes = {"segments.0.density": 700.0 + missing}
+    other = ARM.replace(changes)
     with pytest.warns(FidelityWarning, match=f"the accuracy of .* is not known: .*{reason}"):
         at_fidelity(other, "fast")
     assert "inf" not in capsys.readouterr().out
@@ -611,7 +614,8 @@ def test_fields_of_the_arms_own_need_no_trial_and_others_are_tried(monkeypatch):
     monkeypatch.setattr("soft_tendon_env.accuracy.fidelity.choose", None)
     fields = find_fields(SHIPPED)
     assert at_fidelity(SHIPPED, "fast").strain.passive.digest == fields.digest
-    softer = SHIPPED.replace({"segments.0.young_modulus": 0.6 * SHIPPED.segments[0].young_modulus})
+    changes = {"segments.0.young_modulus": 0.6 * SHIPPED.segments[0].young_modulus}
+    softer = SHIPPED.replace(changes)
     tables = [*strain_tables(softer, find_fields(softer))]
     assert {"type": "snapshots", "fields": 6, "digest": fields.digest} in [
         table.get("passive") for table in tables
@@ -638,7 +642,8 @@ def test_strains_and_loads_of_the_rod_stay():
 @pytest.mark.slow
 def test_quadrature_and_steps_are_settled(monkeypatch):
     monkeypatch.setattr(module, "SECONDS", 0.2)
-    curled = ARM.replace({"segments.0.curvature": [0.0, 0.0, 70.0]})
+    changes = {"segments.0.curvature": [0.0, 0.0, 70.0]}
+    curled = ARM.replace(changes)
     trial = Trial(curled, 2e-3)
     choice = settle(trial, accuracy_of(curled, "standard"))
     assert choice.quadrature["least"] > PRESETS["standard"].least
@@ -954,7 +959,8 @@ def test_a_motion_ends_where_it_is_too_far(monkeypatch):
     models = CaseModels(trial.cases, model)
     (test, *_) = [test for test in trial.tests if not test.reference.is_equilibrium]
     path = models.path(test)
-    np.testing.assert_array_equal(path, tip_path(model, test.commands))
+    expected_path = tip_path(model, test.commands)
+    np.testing.assert_array_equal(path, expected_path)
     away = distance(path, test.reference.tips)
     assert models.path(test, 1.001 * away) is not None
     assert models.path(test, 0.999 * away) is None

@@ -40,7 +40,8 @@ def test_another_solver_agrees_and_the_conditions_of_an_optimum_hold(problem):
     assert (slope[is_greatest] < 0.0).all()
     np.testing.assert_allclose(slope[~is_least & ~is_greatest], 0.0, atol=1e-9)
     # what the bounds push back with
-    np.testing.assert_allclose(allocation.multipliers, -slope * slope.size, atol=1e-9)
+    expected_multipliers = -slope * slope.size
+    np.testing.assert_allclose(allocation.multipliers, expected_multipliers, atol=1e-9)
 
 
 def test_a_warm_start_ends_where_a_cold_one_does(problem):

@@ -34,7 +34,8 @@ def moving(model, random_state):
     simulation = Simulation(model)
     simulation.reset(q, q_dot, time=0.7)
     reference = Reference(np.array([0.0, 0.1]))
-    now = ControllerInput(q, q_dot, model.tip_pose(q), SENT[-1], reference, time=0.7)
+    tip_pose = model.tip_pose(q)
+    now = ControllerInput(q, q_dot, tip_pose, SENT[-1], reference, time=0.7)
     return now, simulation
 
 
@@ -60,7 +61,8 @@ def test_the_prediction_is_the_motion_under_the_commands_in_transit(
         np.testing.assert_allclose(predicted.q, arm.state.q, rtol=1e-3, atol=1e-5)
         np.testing.assert_allclose(predicted.q_dot, arm.state.q_dot, rtol=1e-3, atol=1e-4)
         assert predicted.time == pytest.approx(0.7 + latency)
-        np.testing.assert_allclose(predicted.reference.ahead, np.array([0.0, 0.1]) - latency)
+        expected_ahead = np.array([0.0, 0.1]) - latency
+        np.testing.assert_allclose(predicted.reference.ahead, expected_ahead)
         np.testing.assert_allclose(predicted.tip_pose, arm.tip_pose, atol=1e-5)
         assert predicted.actuators is None
 
@@ -81,7 +83,8 @@ def test_a_lag_acts_on(model, moving):
     # the command that arrives last is not reached yet
     by_plan, by_start = lagged_plan(lag, PERIOD, 1)
     assert 0.0 < by_start[0] < 1.0
-    assert by_plan[0, 0] == pytest.approx(1.0 - by_start[0])
+    expected_by_plan = 1.0 - by_start[0]
+    assert by_plan[0, 0] == pytest.approx(expected_by_plan)
 
 
 def test_a_displaced_tip_moves_as_the_model_s_does(model, moving):
@@ -93,7 +96,8 @@ def test_a_displaced_tip_moves_as_the_model_s_does(model, moving):
     straight = predictor.predict(now, SENT)
     displaced = predictor.predict(beside, SENT)
     moved = np.linalg.solve(now.tip_pose, straight.tip_pose)
-    np.testing.assert_allclose(displaced.tip_pose, beside.tip_pose @ moved, atol=1e-9)
+    expected_tip_pose = beside.tip_pose @ moved
+    np.testing.assert_allclose(displaced.tip_pose, expected_tip_pose, atol=1e-9)
     assert np.abs(pose_error(now.tip_pose, straight.tip_pose)).max() > 0.01
 
 

@@ -283,7 +283,8 @@ def test_friction_is_uncertain_by_a_share_of_what_it_takes(estimator, moving):
     by_offset = prediction.transition[: layout.v.stop, layout.offset]
     taken = 0.1 * belief.locality.loss * COMMAND
     moved = by_offset * (0.5 * taken)
-    np.testing.assert_allclose(prediction.belief.noise, moved @ moved.T, rtol=1e-6, atol=1e-12)
+    expected_noise = moved @ moved.T
+    np.testing.assert_allclose(prediction.belief.noise, expected_noise, rtol=1e-6, atol=1e-12)
     mean = belief.mean.copy()
     mean[layout.friction] = 0.0
     smooth = belief._replace(mean=mean)

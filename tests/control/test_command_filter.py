@@ -59,7 +59,8 @@ def filtered(commands, latency, lag, times, steps=20_000):
 @pytest.mark.parametrize(("latency", "lag"), CASES)
 def test_means_are_those_of_the_differential_equation(latency, lag):
     """Of the last period, and of a part of the next one; and the tension now."""
-    commands = np.random.default_rng(0).uniform(0.0, 5.0, HISTORY)
+    rng = np.random.default_rng(0)
+    commands = rng.uniform(0.0, 5.0, HISTORY)
     timing = Timing(latency, lag)
     middles = (np.arange(400) + 0.5) / 400
     for start, duration in ((-PERIOD, PERIOD), (0.003, 0.008)):

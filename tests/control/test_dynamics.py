@@ -154,7 +154,8 @@ def test_the_step_balances_the_linearised_equation_of_motion(terms, h):
     force = terms.actuation @ u - of_arm + of_effects
     np.testing.assert_allclose(terms.mass @ (end - v) / h, force, rtol=1e-9, atol=1e-9)
     inertia = implicit_inertia(terms, h)
-    np.testing.assert_allclose(step.metric, step.response.T @ inertia @ step.response, rtol=1e-9)
+    expected_metric = step.response.T @ inertia @ step.response
+    np.testing.assert_allclose(step.metric, expected_metric, rtol=1e-9)
 
 
 def test_a_singular_step_is_an_error(terms):

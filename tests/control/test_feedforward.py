@@ -68,7 +68,8 @@ def test_tips_that_tensions_hold_are_reached(build, limits_of, arm, share):
     """To a thousandth of the length, as inverse statics do."""
     model = build(*ARMS[arm])
     limits = limits_of(model)
-    tension = share * limits[:, 1] * np.random.default_rng(1).random(model.tendon_count)
+    rng = np.random.default_rng(1)
+    tension = share * limits[:, 1] * rng.random(model.tendon_count)
     pose = static_equilibrium(model, tension).tip_pose
     found = tension_for_tip_pose(model, pose)
     target = Reference(np.zeros(1), pose[None], pose[None, :3, 3])
@@ -78,7 +79,8 @@ def test_tips_that_tensions_hold_are_reached(build, limits_of, arm, share):
                 StaticFeedforward(model, limits, PERIOD, objective), model, [target] * 20
             )[-1]
         )
-        assert np.linalg.norm(tip[:3, 3] - pose[:3, 3]) < 1e-3 * model.length
+        distance = np.linalg.norm(tip[:3, 3] - pose[:3, 3])
+        assert distance < 1e-3 * model.length
         if isinstance(objective, TipPose):
             assert found.reachable
             np.testing.assert_allclose(tip, found.tip_pose, atol=5e-3 * max(model.length, 1.0))
@@ -123,7 +125,8 @@ def test_decisions_are_the_equilibrium_s_tensions(build, limits_of, holding):
     decision = controller.act(input_for(model, target))
     at_rest = model.rest_coordinates(decision.tension)
     np.testing.assert_allclose(at_rest, decision.memory.q, rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(decision.memory.tip_pose, model.tip_pose(at_rest), atol=1e-6)
+    tip_pose = model.tip_pose(at_rest)
+    np.testing.assert_allclose(decision.memory.tip_pose, tip_pose, atol=1e-6)
     np.testing.assert_allclose(decision.tension, [2.0, 0.5, 0.1], atol=0.1)
 
 
@@ -140,7 +143,8 @@ def test_of_tensions_that_do_the_same_the_least_are_taken(build, limits_of):
     for _ in range(60):
         decision = controller.act(now, memory)
         memory = decision.memory
-    assert np.linalg.norm(memory.tip_pose[:3, 3] - pose[:3, 3]) < 1e-3 * model.length
+    distance = np.linalg.norm(memory.tip_pose[:3, 3] - pose[:3, 3])
+    assert distance < 1e-3 * model.length
     alternating = np.array([1.0, -1.0, 1.0, -1.0])
     assert alternating @ tight == 0.5
     assert alternating @ decision.tension == pytest.approx(0.0, abs=0.02)
@@ -174,7 +178,8 @@ def test_every_step_lowers_errors_and_efforts(build, limits_of, far):
     assert costs[0] == pytest.approx(expected, rel=1e-12)
     for _ in range(5):
         memory = controller.act(input_for(model, far), memory).memory
-        errors.append(np.linalg.norm(controller.error(memory, far)))
+        error = np.linalg.norm(controller.error(memory, far))
+        errors.append(error)
     assert (np.diff(errors) <= 1e-9).all()
 
 
@@ -204,7 +209,8 @@ def test_a_governor_moves_what_is_out_of_reach_by_as_much_as_that(build, limits_
     np.testing.assert_array_equal(told.tension, nearest.tension)
     way = told.tip_position[0] - nearest.tip_pose[:3, 3]
     assert np.linalg.norm(way) == pytest.approx(margin, rel=1e-6)
-    np.testing.assert_allclose(way / margin, (FAR - nearest.tip_pose[:3, 3]) / distance, atol=1e-6)
+    expected = (FAR - nearest.tip_pose[:3, 3]) / distance
+    np.testing.assert_allclose(way / margin, expected, atol=1e-6)
     governor.act(input_for(model, far), decision.memory)
     assert listener.memory == "memory"
 

@@ -62,13 +62,15 @@ def test_loads_along_the_arm_have_the_slopes_of_its_backbone(model, motion):
         positions_moved = ahead[:, :3, 3] - behind[:, :3, 3]
         slope = positions_moved / (2.0 * step)
         off = rows[column].reshape(-1, 3) - slope
-        assert np.abs(off).max() < 0.01 * np.abs(slope).max()
+        largest_slope = np.abs(slope).max()
+        assert np.abs(off).max() < 0.01 * largest_slope
 
 
 @pytest.mark.parametrize("is_split", [False, True], ids=["linear", "with tensions"])
 def test_motions_under_a_load_are_those_of_a_model_that_has_it(model, motion, is_split):
     q, q_dot = motion
-    loaded = model.with_scene(model.scene.replace({"effects.tip_load.force": FORCE.tolist()}))
+    changes = {"effects.tip_load.force": FORCE.tolist()}
+    loaded = model.with_scene(model.scene.replace(changes))
     simulation = Simulation(loaded)
     simulation.reset(q, q_dot)
     expected = simulation.rollout(TENSION, PERIOD)
@@ -87,7 +89,8 @@ def test_motions_under_a_load_are_those_of_a_model_that_has_it(model, motion, is
         assert off < 0.2 * size
     tip = corrected.tip_pose[-1, :3, 3]
     way = np.linalg.norm(expected.tip_pose[-1, :3, 3] - without.tip_pose[-1, :3, 3])
-    assert np.linalg.norm(tip - expected.tip_pose[-1, :3, 3]) < 0.2 * way
+    distance = np.linalg.norm(tip - expected.tip_pose[-1, :3, 3])
+    assert distance < 0.2 * way
 
 
 def test_motions_with_a_payload_are_those_of_a_model_that_has_it(model, motion):
@@ -107,7 +110,8 @@ def test_motions_with_a_payload_are_those_of_a_model_that_has_it(model, motion):
     # rates follow an acceleration that is a mean over the period: displacements tell it
     for k in (1, 2):
         displaced = np.abs(expected.q[k] - without.q[k]).max()
-        assert np.abs(corrected.q[k] - expected.q[k]).max() < 0.2 * displaced
+        difference = corrected.q[k] - expected.q[k]
+        assert np.abs(difference).max() < 0.2 * displaced
 
 
 @pytest.mark.parametrize("turned", [1.0, -1.0])
@@ -156,7 +160,8 @@ def test_motions_with_friction_are_those_of_a_model_that_has_it(model, motion):
     without = simulation.rollout(TENSION, PERIOD)
     corrected = corrected_rollout(simulation, TENSION, PERIOD, error)
     displaced = np.abs(expected.q[-1] - without.q[-1]).max()
-    assert np.abs(corrected.q[-1] - expected.q[-1]).max() < 0.3 * displaced
+    difference = corrected.q[-1] - expected.q[-1]
+    assert np.abs(difference).max() < 0.3 * displaced
 
 
 def test_tensions_hold_what_tensions_make(model, motion):

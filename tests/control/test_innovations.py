@@ -114,7 +114,8 @@ def test_jacobians_are_the_slopes_of_what_is_expected(model, sensor_model, mean)
     # a displaced tip turns the frame in which the model's is seen: to first order in it
     allowed = 0.1 * np.abs(slopes[:6]).max(axis=0)
     assert (np.abs(jacobian[:6] - slopes[:6]) <= allowed + 1e-9).all()
-    np.testing.assert_allclose(jacobian[6:], slopes[6:], atol=1e-5 * np.abs(slopes).max())
+    largest_slope = np.abs(slopes).max()
+    np.testing.assert_allclose(jacobian[6:], slopes[6:], atol=1e-5 * largest_slope)
 
 
 def test_variances_add_those_of_sensors_to_those_of_the_model(model):
@@ -131,14 +132,16 @@ def test_variances_add_those_of_sensors_to_those_of_the_model(model):
     assert exact.keys() == of_sensors.keys()
     for name, variance in of_sensors.items():
         added = noisy[name] - exact[name]
-        np.testing.assert_allclose(added, np.broadcast_to(variance, added.shape), atol=1e-12)
+        expected_added = np.broadcast_to(variance, added.shape)
+        np.testing.assert_allclose(added, expected_added, atol=1e-12)
         assert (exact[name] > 0.0).all()
 
 
 def test_variances_of_the_model_are_of_the_rod_s_size(model, build):
     """Curvatures by its length, lengths in shares of it; a rod four times as long."""
     longer = build("three_tendon", {"quadrature.intervals": 4, "segments.0.length": 1.2})
-    assert longer.length == pytest.approx(4.0 * model.length)
+    expected_length = 4.0 * model.length
+    assert longer.length == pytest.approx(expected_length)
     of_short = noise_variances(model, SensorNoise(), 1)
     of_long = noise_variances(longer, SensorNoise(), 1)
     ratio = {}
@@ -165,7 +168,8 @@ def test_velocities_are_less_certain_the_faster_the_arm(model, sensor_model, mea
     for name in ("tip_twist", "strain_rate"):
         added = moving[rows_of(name)] - at_rest[rows_of(name)]
         expected = getattr(measured, name).ravel()
-        np.testing.assert_allclose(added, 0.2**2 * expected**2, atol=1e-9)
+        expected_added = 0.2**2 * expected**2
+        np.testing.assert_allclose(added, expected_added, atol=1e-9)
     for name in ("tendon_length", "strain"):
         np.testing.assert_array_equal(moving[rows_of(name)], at_rest[rows_of(name)])
 

@@ -164,7 +164,8 @@ def test_friction_of_the_tendons_is_found(coefficient, build, model):
 def test_a_load_is_told_by_the_sag_that_it_makes(model):
     """By the first measurement, of an arm at rest, to a tenth."""
     force = np.array([0.01, -0.03, 0.04])
-    loaded = model.with_scene(model.scene.replace({"effects.tip_load.force": force.tolist()}))
+    changes = {"effects.tip_load.force": force.tolist()}
+    loaded = model.with_scene(model.scene.replace(changes))
     simulation = Simulation(loaded)
     simulation.reset_at_rest()
     found = filter_of(model, EVERYTHING)
@@ -177,9 +178,11 @@ def test_a_load_is_told_by_the_sag_that_it_makes(model):
     error = estimate.force_error
     total = error.constant - error.stiffness @ estimate.q
     total += terms.actuation @ estimate.input_error.offset
-    assert np.linalg.norm(total - needed) < 0.1 * np.linalg.norm(needed)
+    distance = np.linalg.norm(total - needed)
+    assert distance < 0.1 * np.linalg.norm(needed)
     scale = model.coordinate_scale()
-    np.testing.assert_allclose(estimate.q / scale, simulation.state.q / scale, atol=0.01)
+    expected = simulation.state.q / scale
+    np.testing.assert_allclose(estimate.q / scale, expected, atol=0.01)
 
 
 @pytest.fixture(scope="module")
@@ -198,7 +201,8 @@ def test_errors_are_within_the_filter_s_own_deviations(noisy_life, model):
     sizes = []
     for estimate, error in zip(estimates[50:], errors[50:], strict=True):
         covariance = estimate.memory.covariance[: 2 * n, : 2 * n]
-        sizes.append(error.ravel() @ np.linalg.solve(covariance, error.ravel()) / (2 * n))
+        size = error.ravel() @ np.linalg.solve(covariance, error.ravel()) / (2 * n)
+        sizes.append(size)
     assert 0.01 < np.mean(sizes) < 1.5
 
 
@@ -331,7 +335,8 @@ def test_a_filter_that_lost_the_arm_finds_it_again(noisy_life, model):
     mean[found.space.layout.v] = 1e9
     lost = good._replace(memory=belief._replace(mean=mean))
     estimate = found.estimate(told, lost)
-    np.testing.assert_allclose(estimate.q, q[k], atol=0.05 * np.abs(q).max())
+    largest = np.abs(q).max()
+    np.testing.assert_allclose(estimate.q, q[k], atol=0.05 * largest)
 
 
 def test_a_measurement_far_off_tells_where_the_arm_is_but_not_why(model):
@@ -348,7 +353,8 @@ def test_a_measurement_far_off_tells_where_the_arm_is_but_not_why(model):
         told = measurement(model, state, sent, PERIOD, EVERYTHING)
         estimate = found.estimate(told, last)
         moved.append(estimate.q / (size * direction))
-        loads.append(np.linalg.norm(estimate.memory.mean[found.space.layout.load]))
+        load = np.linalg.norm(estimate.memory.mean[found.space.layout.load])
+        loads.append(load)
     np.testing.assert_allclose(moved[1], moved[0], rtol=0.1)
     np.testing.assert_allclose(moved[2], moved[0], rtol=0.1)
     assert loads[0] > loads[1] > loads[2]

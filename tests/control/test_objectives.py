@@ -66,7 +66,8 @@ def test_the_error_is_that_of_the_aim(model, random_state, objective):
     second, _ = random_state(model, 2)
     target = target_through(model, [first, second], (0.0, 0.1))
     for time in (0.0, 0.04, 0.1):
-        error = objective.error(q, model.tip_pose(q), target, time)
+        tip_pose = model.tip_pose(q)
+        error = objective.error(q, tip_pose, target, time)
         aim = aim_from(model, objective, target, q, time=time)
         np.testing.assert_allclose(aim.error, error, atol=1e-14)
 
@@ -121,7 +122,8 @@ def test_the_bias_is_the_acceleration_that_no_coordinate_makes(model, random_sta
     if isinstance(objective, TipPosition):
         difference = model.tip_pose(q)[:3, :3].T @ difference
     bias = aim_from(model, objective, target, q, q_dot).bias
-    np.testing.assert_allclose(bias, difference, atol=1e-4 * np.abs(difference).max())
+    largest_difference = np.abs(difference).max()
+    np.testing.assert_allclose(bias, difference, atol=1e-4 * largest_difference)
 
 
 def test_shapes_have_no_bias(model, random_state):
@@ -174,7 +176,8 @@ def test_the_velocity_of_a_shape_is_the_same_from_everywhere(model, random_state
     at_start = aim_from(model, objective, target, start)
     np.testing.assert_allclose(away.velocity, at_start.velocity, rtol=1e-9)
     rates = (end - start) / PERIOD
-    np.testing.assert_allclose(away.velocity, away.jacobian @ rates, rtol=1e-9)
+    expected_velocity = away.jacobian @ rates
+    np.testing.assert_allclose(away.velocity, expected_velocity, rtol=1e-9)
 
 
 def test_a_radian_is_worth_a_tenth_of_the_rod(model):
@@ -184,7 +187,8 @@ def test_a_radian_is_worth_a_tenth_of_the_rod(model):
     target = Reference(np.zeros(1), turned[None])
     objective = tip_pose_objective(model)
     error = objective.error(np.zeros(3), tip_pose, target, 0.0)
-    assert np.linalg.norm(error) == pytest.approx(0.03 * model.length)
+    expected = 0.03 * model.length
+    assert np.linalg.norm(error) == pytest.approx(expected)
 
 
 def test_positions_are_those_of_poses_where_these_are_told(model, random_state):
@@ -246,7 +250,8 @@ def test_a_target_that_is_moved_back_leaves_its_share_of_the_error(
     moved = objective.moved_back(target, pose, 0.1, share)
     before = objective.error(nearest, pose, target, 0.1)
     after = objective.error(nearest, pose, moved, 0.1)
-    np.testing.assert_allclose(after, (1.0 - share) * before, atol=1e-12)
+    expected_after = (1.0 - share) * before
+    np.testing.assert_allclose(after, expected_after, atol=1e-12)
     steps = [pose_error(a, b) for a, b in zip(target.tip_pose, moved.tip_pose, strict=True)]
     if isinstance(objective, TipPosition):
         steps = moved.tip_position - target.tip_position
@@ -266,7 +271,8 @@ def test_bending_by_an_angle_counts_as_half_of_the_length_times_the_angle(model)
     target = Reference(np.zeros(1), q=q[None])
     straight = np.eye(4)
     error = Shape(model).error(np.zeros(3), straight, target, 0.0)
-    way = pose_error(straight, model.tip_pose(q))
+    tip_pose = model.tip_pose(q)
+    way = pose_error(straight, tip_pose)
     angle = np.linalg.norm(way[:3])
     expected = 0.5 * model.length * angle
     assert np.linalg.norm(error) == pytest.approx(expected, rel=1e-4)

@@ -110,7 +110,8 @@ def test_the_gradient_of_the_square_is_that_of_differences(model, random_state, 
         (half_square(q + step) - half_square(q - step)) / (2.0 * step.sum()) for step in steps
     ]
     tolerance = 5e-3 if kind == "pose" else 1e-5
-    np.testing.assert_allclose(gradient, slopes, atol=tolerance * np.abs(slopes).max())
+    largest_slope = np.abs(slopes).max()
+    np.testing.assert_allclose(gradient, slopes, atol=tolerance * largest_slope)
 
 
 @pytest.mark.parametrize("kind", OBJECTIVES)
@@ -121,8 +122,10 @@ def test_weights_multiply_error_and_jacobian(model, random_state, kind):
     posture = posture_at(model, 0.2 * q, reference_at(model, goal))
     single = make_objective(model, 1.0).linear_error(posture)
     triple = make_objective(model, 3.0).linear_error(posture)
-    np.testing.assert_allclose(triple.error, 3.0 * single.error, rtol=1e-12)
-    np.testing.assert_allclose(triple.jacobian, 3.0 * single.jacobian, rtol=1e-12)
+    expected_error = 3.0 * single.error
+    np.testing.assert_allclose(triple.error, expected_error, rtol=1e-12)
+    expected_jacobian = 3.0 * single.jacobian
+    np.testing.assert_allclose(triple.jacobian, expected_jacobian, rtol=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["pose", "position", "shape"])
@@ -136,7 +139,8 @@ def test_objectives_of_feedback_are_those_of_plans(model, random_state, kind):
     np.testing.assert_array_equal(
         linear.error, objective.error(q, posture.tip_pose, reference, 0.0)
     )
-    np.testing.assert_array_equal(linear.jacobian, objective.jacobian(posture.tip_jacobian))
+    expected_jacobian = objective.jacobian(posture.tip_jacobian)
+    np.testing.assert_array_equal(linear.jacobian, expected_jacobian)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, 2.5, np.pi])
@@ -206,7 +210,8 @@ def test_predictive_control_keeps_its_clearance(model, limits_of, holding, drive
 def test_one_objective_alone_or_in_a_list_is_the_same_cost(model, limits_of, holding):
     target = holding(model, [2.5, 0.0, 1.0])
     q = np.zeros(model.coordinate_count)
-    now = ControllerInput(q, q, model.tip_pose(q), np.zeros(3), target)
+    tip_pose = model.tip_pose(q)
+    now = ControllerInput(q, q, tip_pose, np.zeros(3), target)
     limits = limits_of(model)
     objective = TipPosition()
     alone = Predictive(model, limits, PERIOD, objective).act(now)
@@ -225,7 +230,8 @@ def test_effort_and_smoothness_of_a_list_are_those_of_the_tuning(model, limits_o
     )
     q = np.zeros(model.coordinate_count)
     target = holding(model, [2.5, 0.0, 1.0])
-    now = ControllerInput(q, q, model.tip_pose(q), np.zeros(3), target)
+    tip_pose = model.tip_pose(q)
+    now = ControllerInput(q, q, tip_pose, np.zeros(3), target)
     np.testing.assert_array_equal(controller.act(now).tension, same.act(now).tension)
 
 

@@ -56,7 +56,8 @@ def near(model, holding, seed):
     tension = rng.uniform(5.0, 20.0, 10)
     q = model.rest_coordinates(tension)
     target = holding(model, tension + rng.uniform(-4.0, 4.0, 10))
-    return ControllerInput(q, np.zeros(10), model.tip_pose(q), tension, target)
+    tip_pose = model.tip_pose(q)
+    return ControllerInput(q, np.zeros(10), tip_pose, tension, target)
 
 
 def predicted_cost(model, objective, now, plan, settling_time=DEFAULT.settling_time):
@@ -64,7 +65,8 @@ def predicted_cost(model, objective, now, plan, settling_time=DEFAULT.settling_t
     one, by the simulation."""
 
     def error(q, k):
-        return objective.error(q, model.tip_pose(q), now.reference, k * PERIOD)
+        tip_pose = model.tip_pose(q)
+        return objective.error(q, tip_pose, now.reference, k * PERIOD)
 
     simulation = Simulation(model)
     simulation.reset(now.q, now.q_dot)
@@ -237,7 +239,8 @@ def test_a_plan_goes_on_by_a_period_a_period(model, hold, expected):
     response = np.zeros((10, 10))
     memory = Plan(tension, multipliers, 0.0 * alike, response, None, None)
     continued = controller._continued(alike, memory)
-    np.testing.assert_allclose(continued, np.outer(expected, alike))
+    expected_continued = np.outer(expected, alike)
+    np.testing.assert_allclose(continued, expected_continued)
     assert tuning.looks_ahead == 3 * hold + 1
 
 
@@ -268,9 +271,11 @@ def test_the_observer_takes_a_share_of_what_tensions_explain(model, random_state
     memory = Plan(np.zeros((6, 10)), np.zeros(60), before, response, q_dot, None)
     reference = Reference(np.zeros(1))
     rates = q_dot + response @ unknown
-    now = ControllerInput(q, rates, model.tip_pose(q), np.zeros(10), reference)
+    tip_pose = model.tip_pose(q)
+    now = ControllerInput(q, rates, tip_pose, np.zeros(10), reference)
     disturbance = controller._observe(memory, now)
-    np.testing.assert_allclose(disturbance, before + 0.4 * unknown, rtol=1e-6)
+    expected_disturbance = before + 0.4 * unknown
+    np.testing.assert_allclose(disturbance, expected_disturbance, rtol=1e-6)
     unpredicted = memory._replace(rates=None)
     kept = controller._observe(unpredicted, now)
     np.testing.assert_array_equal(kept, before)
@@ -288,7 +293,8 @@ def test_what_a_period_s_tension_does_is_remembered(model, holding):
     slope = (ends[0] - ends[1]) / 2.0
     controller = Predictive(model, WIDE, PERIOD, TipPosition())
     response = controller.act(now).memory.response[:, 3]
-    assert np.linalg.norm(response - slope) < 0.15 * np.linalg.norm(slope)
+    distance = np.linalg.norm(response - slope)
+    assert distance < 0.15 * np.linalg.norm(slope)
 
 
 def test_predictive_control_that_is_told_of_the_inputs_needs_no_observer(model, holding, drive):
@@ -326,7 +332,8 @@ def test_constant_disturbances_are_found_and_allowed_for(model, holding, drive, 
         )
         found = motion.memory.disturbance
         np.testing.assert_allclose(found, 2.0 if observer else 0.0, atol=0.1)
-        assert motion.reports[-1]["disturbance"] == np.abs(found).max()
+        largest = np.abs(found).max()
+        assert motion.reports[-1]["disturbance"] == largest
     assert off[0.25] < 1e-3
 
 
@@ -334,7 +341,8 @@ def test_constant_disturbances_are_found_and_allowed_for(model, holding, drive, 
 def test_what_is_predicted_is_what_happens(build, kind):
     """Rates and internal states of the next period, by a controller that has followed the arm from
     the beginning to a target."""
-    model = build("three_tendon", {"quadrature.intervals": 6, **LATE[kind]})
+    changes = {"quadrature.intervals": 6, **LATE[kind]}
+    model = build("three_tendon", changes)
     simulation, controller = (
         Simulation(model),
         Predictive(model, np.tile([0.0, 5.0], (3, 1)), PERIOD, TipPosition()),

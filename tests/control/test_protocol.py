@@ -93,7 +93,8 @@ def test_tracking_changes_tensions_no_faster_than_actuators_do(build, holding, k
     q = model.rest_coordinates(last)
     still = np.zeros_like(q)
     target = holding(model, [5.0, 0.0, 1.0])
-    now = ControllerInput(q, still, model.tip_pose(q), last, target)
+    tip_pose = model.tip_pose(q)
+    now = ControllerInput(q, still, tip_pose, last, target)
     most = np.array([0.01, 0.02, 5.0])
     free = tracking.act(now).tension
     change = free - last

@@ -37,7 +37,8 @@ def random_pose(seed):
 
 def random_twists(seed):
     """Two that turn by less than half a turn."""
-    return np.random.default_rng(100 + seed).uniform(-1.5, 1.5, (2, 6))
+    rng = np.random.default_rng(100 + seed)
+    return rng.uniform(-1.5, 1.5, (2, 6))
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +56,8 @@ def test_moves_are_exponentials_on_the_right_and_errors_undo_them(seed):
     pose = random_pose(seed)
     twist, _ = random_twists(seed)
     moved = moved_pose(pose, twist)
-    np.testing.assert_allclose(moved, pose @ expm(hat(twist)), atol=1e-13)
+    expected_moved = pose @ expm(hat(twist))
+    np.testing.assert_allclose(moved, expected_moved, atol=1e-13)
     np.testing.assert_allclose(pose_error(pose, moved), twist, rtol=1e-12, atol=1e-14)
 
 
@@ -63,7 +65,8 @@ def test_poses_that_are_not_contiguous_are_taken():
     pose = random_pose(0)
     target = random_pose(1)
     transposed = pose_error(np.asfortranarray(pose), np.asfortranarray(target))
-    np.testing.assert_array_equal(transposed, pose_error(pose, target))
+    expected_transposed = pose_error(pose, target)
+    np.testing.assert_array_equal(transposed, expected_transposed)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -91,7 +94,8 @@ def test_the_adjoint_of_a_twist_is_the_bracket(seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_skew_matrix_is_the_cross_product(seed):
-    x, y = np.random.default_rng(seed).normal(size=(2, 3))
+    rng = np.random.default_rng(seed)
+    x, y = rng.normal(size=(2, 3))
     np.testing.assert_allclose(skew(x) @ y, np.cross(x, y), atol=1e-14)
 
 
@@ -116,7 +120,8 @@ def test_poses_move_along_the_screw_between_instants(poses, first, share):
     start, end = poses[first : first + 2]
     time = (1.0 - share) * AHEAD[first] + share * AHEAD[first + 1]
     way = pose_error(start, pose_at(AHEAD, poses, time))
-    np.testing.assert_allclose(way, share * pose_error(start, end), atol=1e-12)
+    expected_way = share * pose_error(start, end)
+    np.testing.assert_allclose(way, expected_way, atol=1e-12)
 
 
 def test_values_are_linear_between_instants_and_held_beyond():

@@ -21,7 +21,8 @@ def test_the_grid_has_every_timing_and_mostly_no_lag():
     means, deviations = bank.moments()
     assert means.latency == pytest.approx(0.04)
     # that of a uniform distribution of 21 latencies
-    assert deviations.latency == pytest.approx(0.004 * np.sqrt((21**2 - 1) / 12))
+    expected_latency = 0.004 * np.sqrt((21**2 - 1) / 12)
+    assert deviations.latency == pytest.approx(expected_latency)
 
 
 def test_what_is_known_has_one_value():
@@ -30,7 +31,8 @@ def test_what_is_known_has_one_value():
     assert bank.timing.lag.size == len(timing_bank.LAGS)
     late = timing_bank.first_bank(5, Timing(None, 0.0), GREATEST, 0.3)
     assert set(late.timing.lag) == {0.0}
-    np.testing.assert_allclose(late.weight, 1.0 / late.timing.latency.size)
+    expected_weight = 1.0 / late.timing.latency.size
+    np.testing.assert_allclose(late.weight, expected_weight)
 
 
 def test_likelihoods_multiply():
@@ -47,7 +49,8 @@ def test_likelihoods_multiply():
         judged = timing_bank.judged(judged, innovation, root, root)
         squares += ((root @ innovation) ** 2).sum(axis=0)
     likelihood = np.exp(-0.5 * squares)
-    np.testing.assert_allclose(judged.weight, likelihood / likelihood.sum(), rtol=1e-9)
+    expected_weight = likelihood / likelihood.sum()
+    np.testing.assert_allclose(judged.weight, expected_weight, rtol=1e-9)
 
 
 def test_innovations_that_surprise_everybody_tell_less():
@@ -69,7 +72,8 @@ def test_the_sharp_weights_take_the_motions_as_they_are_linearised():
     bank = timing_bank.first_bank(1, Timing(None, 0.0), Timing(0.004, 0.0), 0.5)
     innovations = np.array([[0.0, 2.0]])
     judged = timing_bank.judged(bank, innovations, np.array([[0.1]]), np.eye(1))
-    assert judged.sharp_weight[1] / judged.sharp_weight[0] == pytest.approx(np.exp(-2.0))
+    expected = np.exp(-2.0)
+    assert judged.sharp_weight[1] / judged.sharp_weight[0] == pytest.approx(expected)
     assert judged.weight[1] / judged.weight[0] == pytest.approx(np.exp(-0.02))
 
 

@@ -206,7 +206,8 @@ def moving(model, random_state):
     times = PERIOD * np.arange(3.0)
     reference = Reference(times, poses, poses[:, :3, 3])
     displacement = np.array([0.02, -0.01, 0.03, 0.002, 0.001, -0.001])
-    measured = moved_pose(model.tip_pose(q), displacement)
+    tip_pose = model.tip_pose(q)
+    measured = moved_pose(tip_pose, displacement)
     tension = np.zeros(10)
     return ControllerInput(q, q_dot, measured, tension, reference)
 
@@ -239,7 +240,8 @@ def test_the_law_holds_over_the_period(model, moving, monkeypatch, objective, in
     gains = tracking.gains
     feedback = gains.kp * aim.error + gains.kd * (target_velocity - present) + gains.ki * integral
     expected = present + PERIOD * (acceleration + feedback)
-    np.testing.assert_allclose(velocity, expected, atol=1e-4 * np.abs(expected - present).max())
+    largest = np.abs(expected - present).max()
+    np.testing.assert_allclose(velocity, expected, atol=1e-4 * largest)
     assert output.report["singular"] == 0.0
     # nothing is refused: the integral is that of the error
     np.testing.assert_allclose(
@@ -251,7 +253,8 @@ def test_the_integral_waits_for_what_limits_refuse(model, near):
     """Where nothing of what is asked for can be done, it moves by less than the error, in the loop
     that the gains close."""
     q = np.zeros(10)
-    now = ControllerInput(q, q, model.tip_pose(q), np.zeros(10), near)
+    tip_pose = model.tip_pose(q)
+    now = ControllerInput(q, q, tip_pose, np.zeros(10), near)
     integrals = {}
     for greatest in (1e6, 0.01):
         limits = np.tile([-greatest, greatest], (10, 1))
@@ -261,7 +264,8 @@ def test_the_integral_waits_for_what_limits_refuse(model, near):
             memory = tracking.act(now, memory).memory
         integrals[greatest] = memory.integral
     error = TipPose(0.1).error(q, now.tip_pose, near, 0.0)
-    np.testing.assert_allclose(integrals[1e6], 50 * PERIOD * error, rtol=0.05, atol=1e-4)
+    expected_integral = 50 * PERIOD * error
+    np.testing.assert_allclose(integrals[1e6], expected_integral, rtol=0.05, atol=1e-4)
     assert np.linalg.norm(integrals[0.01]) < 0.3 * np.linalg.norm(integrals[1e6])
 
 

@@ -29,7 +29,8 @@ def played(envs, actions):
 
 
 def drawn_actions(periods):
-    return torch.tensor(np.random.default_rng(0).uniform(-1.0, 1.0, (periods, ROWS, 3)))
+    rng = np.random.default_rng(0)
+    return torch.tensor(rng.uniform(-1.0, 1.0, (periods, ROWS, 3)))
 
 
 @pytest.mark.parametrize("task", ["TipPose", "Shape"])

@@ -54,7 +54,8 @@ def test_a_rollout_is_the_environments_own_episode(task, action, rate_limit, eve
     envs = rows_of(task, **options)
     other = rows_of(task, **options)
     envs.reset(seed=3)
-    actions = torch.tensor(np.random.default_rng(0).uniform(-1.2, 1.2, (5, 3, 3)))
+    rng = np.random.default_rng(0)
+    actions = torch.tensor(rng.uniform(-1.2, 1.2, (5, 3, 3)))
     seen = []
 
     def policy(observation):
@@ -324,7 +325,8 @@ ACCURACY = [  # arm, changes, shares of the range that commands change by in a p
 def test_gradients_of_every_kind_of_arm_are_those_of_differences(name, changes, share, least):
     """Cosines, and lengths within 15 %: a period is long beside a stiff wire's vibration, and
     elastic tendons go slack and taut."""
-    model = build_model(load_scene(name).replace(changes), "fast")
+    scene = load_scene(name).replace(changes)
+    model = build_model(scene, "fast")
     low, high = model.scene.effects.command_limits(
         np.array([tendon.tension_limits for tendon in model.scene.tendons])
     ).T

@@ -115,7 +115,8 @@ def test_an_arm_that_is_held_at_rest_stays(build):
     """`reset` and rows start with tensions that have arrived."""
     u = np.array([2.0, 0.0, 1.0])
     actuators = {"effects.actuators": {"time_constant": 0.1, "delay": 0.03}}
-    model = build("three_tendon", {**actuators, "effects.gravity.acceleration": [9.81, 0.0, 0.0]})
+    changes = {**actuators, "effects.gravity.acceleration": [9.81, 0.0, 0.0]}
+    model = build("three_tendon", changes)
     rest = static_equilibrium(model, u)
     simulation = Simulation(model)
     simulation.reset(rest.q, tension=u)
@@ -220,7 +221,8 @@ def test_a_wire_that_cables_drive_by_displacement_never_diverges(fidelity, dampi
 @pytest.mark.no_jit
 def test_actuators_of_elastic_tendons_are_as_strong_as_the_tension_limits_unless_told():
     """With a slack for each tendon, or none; what pushes at most has no strength."""
-    scene = load_scene("three_tendon").replace({"tendons.0.tension_limits": [-4.0, -1.0]})
+    changes = {"tendons.0.tension_limits": [-4.0, -1.0]}
+    scene = load_scene("three_tendon").replace(changes)
     for more, strength, slack in (
         ({}, [0.0, 5.0, 5.0], 0.0),
         ({"strength": 7.0, "slack": [0.0, 0.001, -0.002]}, 7.0, np.array([0.0, 0.001, -0.002])),
@@ -229,10 +231,12 @@ def test_actuators_of_elastic_tendons_are_as_strong_as_the_tension_limits_unless
         elastic = scene.replace({"effects.tendon_elasticity": table})
         path = model_on(elastic, 2).arm.effects.transmission
         np.testing.assert_array_equal(path.stiffness, 200.0)
-        np.testing.assert_array_equal(path.strength, np.broadcast_to(strength, 3))
+        expected_strength = np.broadcast_to(strength, 3)
+        np.testing.assert_array_equal(path.strength, expected_strength)
         np.testing.assert_allclose(path.length, 0.3 + slack)
         limits = elastic.effects.command_limits(np.zeros((3, 2)))
-        np.testing.assert_array_equal(limits, [[-0.01, 0.03]] * 3)
+        expected_limits = [[-0.01, 0.03]] * 3
+        np.testing.assert_array_equal(limits, expected_limits)
         assert elastic.effects.command_unit == "m"
     tensions = np.array([[0.0, 5.0]] * 3)
     np.testing.assert_array_equal(scene.effects.command_limits(tensions), tensions)
@@ -289,7 +293,8 @@ def test_hysteresis_of_a_slow_cycle(uniform):
     per = round(period / 0.05)
     cycle_before = q[per : 2 * per + 1]
     bound = 1e-3 * np.abs(q).max()
-    assert np.abs(q[2 * per :] - cycle_before).max() < bound, "closed"
+    difference = q[2 * per :] - cycle_before
+    assert np.abs(difference).max() < bound, "closed"
     least = bending(model, 0.5, -1.0)
     most = bending(model, 3.5, 1.0)
 

@@ -116,7 +116,8 @@ def test_an_obstacle_moves_as_it_is_told():
         here.r, [0.1, 0.2, 0.3] + time * np.array([0.1, 0.2, -0.3]) + swing, atol=1e-14
     )
     way = np.subtract(after.r, before.r)
-    np.testing.assert_allclose(here.velocity, way / (2 * h), atol=1e-8)
+    expected_velocity = way / (2 * h)
+    np.testing.assert_allclose(here.velocity, expected_velocity, atol=1e-8)
     np.testing.assert_allclose(
         Contact(obstacles=[obstacle]).obstacles[0].pose(time)[:3, 3], here.r, atol=1e-14
     )

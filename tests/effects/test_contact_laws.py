@@ -119,7 +119,8 @@ SHAPES = [
 def test_distances_are_those_of_the_shapes(obstacle, expected):
     """Also of one that has moved, and from the nearest point of the surface, which is 0."""
     contact = Contact(obstacles=[{**obstacle, "velocity": [0.3, -0.2, 0.1]}])
-    places = np.random.default_rng(0).uniform(-0.4, 0.4, (40, 3))
+    rng = np.random.default_rng(0)
+    places = rng.uniform(-0.4, 0.4, (40, 3))
     x = PLACE + places
     out = np.empty((1, 40))
     nearest = np.empty((1, 40, 3))
@@ -129,7 +130,8 @@ def test_distances_are_those_of_the_shapes(obstacle, expected):
     surface = nearest[0]
     np.testing.assert_allclose(contact.distances(surface)[0], 0.0, atol=1e-14)
     ways = np.linalg.norm(x - surface, axis=1)
-    np.testing.assert_allclose(ways, np.abs(exact), atol=1e-14)
+    expected_ways = np.abs(exact)
+    np.testing.assert_allclose(ways, expected_ways, atol=1e-14)
     # two seconds later
     direction = np.array([0.3, -0.2, 0.1])
     moved = x + 2.0 * direction
@@ -354,7 +356,8 @@ def sliding(request, rod, arc):
         obstacles=[{**plane, "velocity": belt.tolist()}], friction=MU, dissipation=DISSIPATION
     )
     parameters = contact.parameters(rod)
-    draws = np.random.default_rng(0).normal(size=(rod.node.size, 6))
+    rng = np.random.default_rng(0)
+    draws = rng.normal(size=(rod.node.size, 6))
     sizes = np.repeat([2.0, 0.1], 3)
     twists = draws * sizes
     velocity = surface_velocities(parameters, arc, twists, normal)
@@ -396,7 +399,8 @@ def test_wrenches_at_the_nodes_have_the_power_of_the_forces_on_the_surfaces(slid
     wrenches = rows_of(nodes.wrench, 6)
     node_twists = rows_of(nodes.twist, 6)
     power = (wrenches * node_twists).sum()
-    assert power == pytest.approx((force * velocity).sum(), rel=1e-6)
+    expected_power = (force * velocity).sum()
+    assert power == pytest.approx(expected_power, rel=1e-6)
     assert nodes.contact.touched[0] == YES
 
 
@@ -530,7 +534,8 @@ def test_blocks_of_the_nodes_are_derivatives_of_their_wrenches(rod, edge, fricti
 def test_samples_stand_for_the_rod_and_interpolate_it(rod):
     intervals, samples, places = make_samples(rod)
     lengths, first, last, largest = intervals.T
-    np.testing.assert_allclose(lengths, np.diff(rod.node, prepend=0.0))
+    expected_lengths = np.diff(rod.node, prepend=0.0)
+    np.testing.assert_allclose(lengths, expected_lengths)
     assert first[0] == 0
     assert last[-1] == len(samples)
     np.testing.assert_array_equal(first[1:], last[:-1])
@@ -661,7 +666,8 @@ def test_a_step_in_contact_goes_deeper_by_a_share_of_the_radius_at_most(rod):
     twists[:, 5] = -0.4
     nodes_of_rod = nodes_at(straight(rod), twists)
     step, flags = longest_step(contact, rod, nodes_of_rod)
-    assert step == pytest.approx(OVERRUN * RADIUS / 0.4)
+    expected_step = OVERRUN * RADIUS / 0.4
+    assert step == pytest.approx(expected_step)
     assert flags.active[0] == YES
 
 
@@ -686,7 +692,8 @@ def test_steps_are_short_beside_the_swing_of_an_obstacle(rod):
     poses = straight(rod)
     swinging = Contact(obstacles=[floor(-1.0, amplitude=[0.0, 0.1, 0.0], frequency=30.0)])
     step, _ = longest_step(swinging, rod, nodes_at(poses))
-    assert step == pytest.approx(TURN / (2.0 * np.pi * 30.0))
+    expected_step = TURN / (2.0 * np.pi * 30.0)
+    assert step == pytest.approx(expected_step)
     still = Contact(obstacles=[floor(-1.0, frequency=30.0)])
     longest, _ = longest_step(still, rod, nodes_at(poses))
     assert longest == 1.0

@@ -53,7 +53,8 @@ def test_a_pulse_is_there_from_its_start_to_its_end(build):
     whole = simulate(pulse, [1.0, 0.0, 2.0], 0.3, 0.02)
     np.testing.assert_allclose(whole.final.q, state.q, rtol=1e-12)
     rest = static_equilibrium(pulse, [1.0, 0.0, 2.0])
-    np.testing.assert_allclose(rest.q, static_equilibrium(plain, [1.0, 0.0, 2.0]).q, atol=1e-12)
+    expected_q = static_equilibrium(plain, [1.0, 0.0, 2.0]).q
+    np.testing.assert_allclose(rest.q, expected_q, atol=1e-12)
 
 
 def test_a_sine_swings_as_a_forced_oscillator(uniform):
@@ -159,7 +160,8 @@ def test_the_base_carries_the_arm_to_where_its_motion_leads(build, time):
     angle = 3.0 * time + 0.4 * swing
     turn = Rotation.from_rotvec(angle * axis).as_matrix()
     g, _, _ = tip_at(model, q, time)
-    np.testing.assert_allclose(g[:3, :3], turn @ rest[:3, :3], atol=1e-12)
+    expected_rotation = turn @ rest[:3, :3]
+    np.testing.assert_allclose(g[:3, :3], expected_rotation, atol=1e-12)
     base = np.array(model.scene.base.position)
     from_base = rest[:3, 3] - base
     expected = base + way + turn @ from_base

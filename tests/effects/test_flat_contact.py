@@ -190,7 +190,8 @@ def test_forces_of_flat_sections_are_those_of_a_potential():
         way[i] = size
         ahead = model.energy(q + way, still).load
         behind = model.energy(q - way, still).load
-        falls.append((behind - ahead) / (2.0 * size))
+        fall = (behind - ahead) / (2.0 * size)
+        falls.append(fall)
     force = model.terms(q, still).external_force
     scale = model.coordinate_scale()
     assert np.abs(force * scale).max() > 1e-3
@@ -207,7 +208,8 @@ def test_a_tilted_ribbon_falls_flat():
     for _ in range(40):
         simulation.step(np.zeros(1), 0.02)
         state = simulation.state
-        energies.append(model.energy(state.q, state.q_dot).total)
+        energy = model.energy(state.q, state.q_dot).total
+        energies.append(energy)
     clearance = contact_forces(model, simulation.state).clearance[0]
     assert -2e-4 < clearance < 1e-4
     assert abs(np.degrees(np.arcsin(simulation.tip_pose[2, 1]))) < 1.0

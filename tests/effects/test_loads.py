@@ -35,7 +35,8 @@ DENSITY = 1070.0
 
 
 def arm_with(changes, intervals=6):
-    return model_on(load_scene("three_tendon").replace({**ANGULAR, **changes}), intervals)
+    scene = load_scene("three_tendon").replace({**ANGULAR, **changes})
+    return model_on(scene, intervals)
 
 
 def tip_load(**table):
@@ -54,7 +55,8 @@ def test_a_wrench_at_the_tip_has_its_virtual_work(frame):
     else:
         R = np.eye(3)
     wrench = np.concatenate([R.T @ MOMENT, R.T @ FORCE])
-    np.testing.assert_allclose(terms.external_force, terms.tip_jacobian.T @ wrench, rtol=1e-10)
+    expected_external_force = terms.tip_jacobian.T @ wrench
+    np.testing.assert_allclose(terms.external_force, expected_external_force, rtol=1e-10)
     dead = model.scene.effects.dead_loads()
     if frame == "world":
         expected = FORCE, MOMENT
@@ -95,7 +97,8 @@ def test_weight_and_forces_at_the_tip_are_gradients_of_their_energies():
 
 def test_the_weight_of_a_straight_rod_is_that_of_a_beam():
     """w L^3 / 6 on a constant curvature, with w = rho A g."""
-    model = arm_with({"effects.gravity.acceleration": [0.0, -3.0, 0.0]})
+    changes = {"effects.gravity.acceleration": [0.0, -3.0, 0.0]}
+    model = arm_with(changes)
     load = -3.0 * DENSITY * np.pi * RADIUS**2
     expected = [0.0, 0.0, load * LENGTH**3 / 6.0]
     np.testing.assert_allclose(

@@ -52,7 +52,8 @@ def test_force_is_the_gradient_of_the_energy_and_stiffness_its_derivative(
     q = 0.3 * np.array([5, 3, 4, -2, 3, 1, 0.1, 0.05, -0.1, 0.1, 0.1, 0.05])
     force = model.terms(q, 0 * q).external_force
     gradient = slope(lambda at: model.energy(at, 0 * at).load, q, 1e-5)
-    np.testing.assert_allclose(force, -gradient, rtol=1e-6, atol=1e-8 * np.abs(force).max())
+    largest_force = np.abs(force).max()
+    np.testing.assert_allclose(force, -gradient, rtol=1e-6, atol=1e-8 * largest_force)
     work = workspace_at(model, q)
     G = work.matrices.G.copy()
     add_implicit(model.arm, work)
@@ -76,7 +77,8 @@ def test_stress_relaxes_under_a_strain_that_is_held(uniform, workspace_at, step)
         external_force(model.arm, work)
         time = i * step
         left = 0.5 * np.exp(-time / 0.1) + 2.0 * np.exp(-time / 0.01)
-        np.testing.assert_allclose(work.forces.load, -left * elastic, rtol=1e-9, atol=1e-14)
+        expected_load = -left * elastic
+        np.testing.assert_allclose(work.forces.load, expected_load, rtol=1e-9, atol=1e-14)
 
 
 @pytest.mark.no_jit
@@ -115,7 +117,8 @@ def test_lags_after_a_time_are_integrals(x):
     """Of s_dot = (e - s) / tau, for a strain that changes by a + b t in x relaxation times: with e
     = a t + b t^2 / 2 the lag is what exponentials leave of each rate."""
     kept, changed, rated = lag_weights(x)
-    assert kept == pytest.approx(np.exp(-x))
+    expected_kept = np.exp(-x)
+    assert kept == pytest.approx(expected_kept)
     a = 1.3
     b = -0.7
     left, _ = quad(lambda t: (a + b * t) * np.exp(t - x), 0.0, x, epsabs=1e-14)
@@ -138,6 +141,7 @@ def test_springs_of_the_branches_store_their_share_of_the_elastic_energy(uniform
     first[:] = 0.5 * strain
     second[:] = strain
     followed = model.energy(q, 0 * q, states)
-    assert followed.load == pytest.approx(0.5 * 0.25 * energy.elastic)
+    expected_load = 0.5 * 0.25 * energy.elastic
+    assert followed.load == pytest.approx(expected_load)
     at_rest = model.energy(q, 0 * q)
     assert at_rest.load == pytest.approx(0.0, abs=1e-15)

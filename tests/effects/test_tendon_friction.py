@@ -115,7 +115,8 @@ def energies(scene, command, stiffness, strength, duration):
         pulled = command @ model.tendon_lengths(q)
         if is_elastic:
             pulled = stored(command, model, q, stiffness, strength)
-        totals.append(energy.kinetic + energy.elastic + pulled)
+        total = energy.kinetic + energy.elastic + pulled
+        totals.append(total)
         kinetic.append(energy.kinetic)
     return np.array(totals), np.array(kinetic)
 
@@ -129,7 +130,8 @@ def arms(count):
         else:
             marks = [pytest.mark.slow]
         strain = (EXPLICIT, STATICS)[seed % 2]
-        cases.append(pytest.param(seed, strain, seed % 4 > 1, marks=marks))
+        case = pytest.param(seed, strain, seed % 4 > 1, marks=marks)
+        cases.append(case)
     return cases
 
 
@@ -158,7 +160,8 @@ def test_power_of_friction_is_what_slides_times_what_the_tension_falls(strain, s
     border, at random states and for tendons that push too."""
     friction = {"coefficient": 0.7, "stiction_speed": 1e-3}
     changes = {"strain": strain, "effects.tendon_friction": friction}
-    model = build_model(load_scene("helical").replace(changes), "scene")
+    scene = load_scene("helical").replace(changes)
+    model = build_model(scene, "scene")
     random = np.random.default_rng(0)
     method = step_method(model)
     scratch = make_scratch(model.arm, method.columns)
@@ -262,7 +265,8 @@ def test_stiff_guide_is_pulled_and_released(coefficient, turn, stiction_speed):
             simulation.step([before + (pull - before) * (i + 1) / 40], 0.05)
         before = pull
         angles.append(angle() - start)
-    np.testing.assert_allclose(angles, coulomb_angles(coefficient, turn, pulls), rtol=0.02)
+    expected_angles = coulomb_angles(coefficient, turn, pulls)
+    np.testing.assert_allclose(angles, expected_angles, rtol=0.02)
 
 
 MOTIONS_BY_FIXED_STEPS = [

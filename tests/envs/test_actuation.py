@@ -260,7 +260,8 @@ LAG = {"effects.actuators.time_constant": 0.03}
 )
 def test_states_that_follow_the_motion_have_no_adjoint(build, changes, refused):
     """Those that commands go through have one; what is refused is named."""
-    arms = Arms(build("three_tendon", changes), 1, 0.02, np.zeros(0), np.zeros(0))
+    model = build("three_tendon", changes)
+    arms = Arms(model, 1, 0.02, np.zeros(0), np.zeros(0))
     if refused is None:
         arms.check_adjoint()
         return

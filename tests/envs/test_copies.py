@@ -68,7 +68,8 @@ ROWS = 24
 
 def play(env, seed, steps, reset=True):
     """What steps with random actions give, and after them a reset and another step."""
-    actions = np.random.default_rng(seed).uniform(-1.2, 1.2, (steps, *env.action_space.shape))
+    rng = np.random.default_rng(seed)
+    actions = rng.uniform(-1.2, 1.2, (steps, *env.action_space.shape))
     found = [env.step(action) for action in actions]
     return (
         [*found, env.reset(), env.step(actions[0]), env.action_space.sample()] if reset else found

@@ -50,7 +50,8 @@ def test_the_closed_spline_is_the_uniform_cubic_b_spline_of_its_points():
     np.testing.assert_allclose(tension, expected, atol=1e-12)
     later = spline(times + 4.8)[0]
     np.testing.assert_allclose(later, tension, atol=1e-12)
-    np.testing.assert_allclose(spline.knots, 0.4 * np.arange(7.0))
+    expected_knots = 0.4 * np.arange(7.0)
+    np.testing.assert_allclose(spline.knots, expected_knots)
     inner = times + 0.013
     np.testing.assert_allclose(spline(inner)[1], rates_by_differences(spline, inner), atol=1e-6)
 
@@ -67,7 +68,8 @@ def test_a_ramp_rises_smoothly_from_start_to_end_and_stays():
     tension, rate = rise(times)
     expected = start + share * (end - start)
     np.testing.assert_allclose(tension, expected)
-    np.testing.assert_allclose(rate, rates_by_differences(rise, times), atol=1e-6)
+    expected_rate = rates_by_differences(rise, times)
+    np.testing.assert_allclose(rate, expected_rate, atol=1e-6)
     near_ends = np.array([-1e-3, 1e-3, 1.999, 2.001])
     _, rates_near_ends = rise(near_ends)
     assert np.abs(rates_near_ends).max() < 1e-4
@@ -236,17 +238,21 @@ def test_equilibria_far_from_where_they_are_expected_are_reached_by_halves(monke
         move = path._move
 
         def recorded(tension, shorter=8):
-            shares.append(tension[0] / aim[0])
-            np.testing.assert_allclose(tension, shares[-1] * aim)
+            share = tension[0] / aim[0]
+            shares.append(share)
+            expected_tension = shares[-1] * aim
+            np.testing.assert_allclose(tension, expected_tension)
             return move(tension, shorter)
 
         monkeypatch.setattr(path, "_move", recorded)
         (q,) = path.follow(aim[None])
     rest = static_equilibrium(setting.model, aim)
-    np.testing.assert_allclose(setting.model.tip_pose(q), rest.tip_pose, atol=1e-6)
+    tip_pose = setting.model.tip_pose(q)
+    np.testing.assert_allclose(tip_pose, rest.tip_pose, atol=1e-6)
     # whole, half, and halves of what is left
     assert shares[:2] == [1.0, 0.5]
     assert len(shares) > 2
     assert max(shares) == 1.0
     numerators = 256.0 * np.array(shares)
-    np.testing.assert_array_equal(numerators, np.round(numerators))
+    expected_numerators = np.round(numerators)
+    np.testing.assert_array_equal(numerators, expected_numerators)

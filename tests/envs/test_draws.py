@@ -165,7 +165,8 @@ def test_a_history_is_the_past_less_the_present():
     past = frames[:, :, [0, 2]]
     present = seen[2][:, None, [0, 2]]
     expected = (past - present) / CHANGE
-    np.testing.assert_allclose(history.changes, expected.reshape(2, 4), rtol=1e-6)
+    expected_changes = expected.reshape(2, 4)
+    np.testing.assert_allclose(history.changes, expected_changes, rtol=1e-6)
     counts[0] = 0
     history.keep(seen[3], counts, np.array([0]))
     np.testing.assert_array_equal(history.changes[0], 0.0)
@@ -181,7 +182,8 @@ def test_a_history_is_the_past_less_the_present():
 
 
 def test_stress_free_strains_are_those_of_the_segments():
-    scene = load_scene("three_tendon").replace({"segments.0.curvature": [0.5, -2.0, 3.0]})
+    changes = {"segments.0.curvature": [0.5, -2.0, 3.0]}
+    scene = load_scene("three_tendon").replace(changes)
     strains = stress_free_strain(scene, np.array([0.0, 0.3]))
     expected = np.tile([0.5, -2.0, 3.0, 1.0, 0.0, 0.0], (2, 1))
     np.testing.assert_array_equal(strains, expected)
@@ -227,7 +229,8 @@ def test_goals_lie_within_two_lengths_of_where_the_base_may_be():
     drawn = {"base.position": [(-0.1, 0.1), (-0.5, 0.0), 0.0]}
     for randomize, away in (({}, 0.2), (drawn, 0.5)):
         env = ReachEnv(scene=scene, fidelity="fast", randomize=randomize)
-        assert env.episodes.goal_bound == pytest.approx(2.0 * 0.3 + away)
+        expected_goal_bound = 2.0 * 0.3 + away
+        assert env.episodes.goal_bound == pytest.approx(expected_goal_bound)
     assert env.episodes.threshold == pytest.approx(0.003)
     positions = np.array([[9.0, -9.0, 0.1]])
     goal = env.episodes._goal(positions)
@@ -249,7 +252,8 @@ BALLS = [
 
 def test_the_deepest_ball_is_that_with_the_greatest_overlap(build):
     """Of balls of the arm and obstacles, or of those alone that stand."""
-    model = build("three_tendon", {"effects.contact.obstacles": BALLS, "quadrature.intervals": 4})
+    changes = {"effects.contact.obstacles": BALLS, "quadrature.intervals": 4}
+    model = build("three_tendon", changes)
     count = model.scene.effects.contact.sample_places(model.discretisation).size
 
     def poses_with(first, second):

@@ -243,4 +243,5 @@ def test_the_space_bounds_every_group_by_what_it_is():
     # twice the bound, in tenths of the unit
     changes = 20.0 * np.concatenate(kept)
     bounds = high[layout.slices["history"]]
-    np.testing.assert_allclose(bounds, np.tile(changes, 2), rtol=1e-6)
+    expected_bounds = np.tile(changes, 2)
+    np.testing.assert_allclose(bounds, expected_bounds, rtol=1e-6)

@@ -234,7 +234,8 @@ def test_options_are_taken_as_they_come(options):
 )
 def test_previews_are_ahead_by_default_however_long_a_period_is(period, ahead):
     env = TipPoseEnv(**SMALL, control_period=period)
-    np.testing.assert_allclose(env.episodes.ahead, period * np.array([0, *ahead]))
+    expected_ahead = period * np.array([0, *ahead])
+    np.testing.assert_allclose(env.episodes.ahead, expected_ahead)
 
 
 BAD_ACTIONS = [

@@ -62,7 +62,8 @@ def acting_tensions(env, actions, seed=0):
             else durations[0]
         )
         assert abs(ends[-1] - 0.02) < 1e-15
-        tensions.append(commands[0, np.searchsorted(ends, 0.001 * (np.arange(20) + 0.5))])
+        tension = commands[0, np.searchsorted(ends, 0.001 * (np.arange(20) + 0.5))]
+        tensions.append(tension)
         return commands, durations
 
     episodes.actuation.apply = noted
@@ -101,7 +102,8 @@ def test_gains_and_offsets_act_on_tensions():
     )
     drawn = TipPoseEnv(**SMALL, randomize={"tension_gain": [0.8, 1.2]})
     ratio = acting_tensions(drawn, actions)[0][::20] / tensions
-    np.testing.assert_allclose(ratio, np.tile(ratio[0], (STEPS, 1)))
+    expected_ratio = np.tile(ratio[0], (STEPS, 1))
+    np.testing.assert_allclose(ratio, expected_ratio)
     assert np.ptp(ratio[0]) > 0.01
     assert (ratio >= 0.8).all()
     assert (ratio <= 1.2).all()
@@ -144,10 +146,12 @@ def test_noise_is_on_what_is_measured_and_on_nothing_else():
     ]:
         assert difference[:, slices[name]].std() == pytest.approx(deviation, rel=0.1)
     strain = difference[:, slices["strain"]].reshape(-1, 2, 2, 3)
-    assert strain[:, :, 0].std() == pytest.approx(noise["curvature"] * length, rel=0.1)
+    expected_strain = noise["curvature"] * length
+    assert strain[:, :, 0].std() == pytest.approx(expected_strain, rel=0.1)
     assert strain[:, :, 1].std() == pytest.approx(noise["stretch"] / 0.1, rel=0.1)
     rate = difference[:, slices["strain_rate"]].reshape(-1, 2, 2, 3)
-    assert rate[:, :, 0].std() == pytest.approx(noise["curvature_rate"] * length / 10, rel=0.1)
+    expected_rate = noise["curvature_rate"] * length / 10
+    assert rate[:, :, 0].std() == pytest.approx(expected_rate, rel=0.1)
     assert rate[:, :, 1].std() == pytest.approx(noise["stretch_rate"], rel=0.1)
     assert abs(np.corrcoef(strain.ravel(), rate.ravel())[0, 1]) < 0.1  # drawn independently
     columns = seen[noisy][:, slices["tip_rotation"]].reshape(-1, 2, 3)

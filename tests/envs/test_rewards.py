@@ -58,7 +58,8 @@ def test_a_term_of_several_scales_is_the_mean_of_those():
     )
     for _, reward, _, _, info in steps(env):
         each = [closeness(info["backbone_error"], scale) for scale in (0.01, 0.1, 1.0)]
-        assert info["reward_backbone"] == pytest.approx(np.mean(each), rel=1e-14)
+        expected_reward_backbone = np.mean(each)
+        assert info["reward_backbone"] == pytest.approx(expected_reward_backbone, rel=1e-14)
         assert info["reward_position"] == pytest.approx(
             closeness(info["position_error"], 0.2), rel=1e-14
         )
@@ -76,7 +77,10 @@ def test_graded_terms_tell_small_errors_apart_as_large_ones():
             closeness(info["position_error"], grade * 0.05 * env.model.length)
             for grade in (4.0, 0.4, 0.04)
         ]
-        assert info["reward_graded_position"] == pytest.approx(np.mean(each), rel=1e-14)
+        expected_reward_graded_position = np.mean(each)
+        assert info["reward_graded_position"] == pytest.approx(
+            expected_reward_graded_position, rel=1e-14
+        )
     values = goal_reward(
         np.outer(0.05 * 10.0 ** np.arange(-2, 2), [1.0, 0.0, 0.0]),
         np.zeros((4, 3)),
@@ -91,7 +95,8 @@ def test_terms_are_what_they_say():
     env = TipPoseEnv(**SMALL, action="tension")
     env.reset(seed=0)
     _, _, _, _, info = env.step([1.0, 0.0, -1.0])  # 5, 2.5 and 0 of 5 N
-    assert info["reward_effort"] == pytest.approx(1 - (1 + 0.25) / 3)
+    expected_reward_effort = 1 - (1 + 0.25) / 3
+    assert info["reward_effort"] == pytest.approx(expected_reward_effort)
     assert info["reward_smoothness"] == pytest.approx(
         1 - (1 + 0.25) / 3
     )  # from -1, -1, -1; a change of 2 counts as 1

@@ -126,7 +126,8 @@ def test_the_state_can_be_set_in_mid_episode(scene, same):
     options = {"history": 2, "randomize": {"latency": 0.03, "noise": {"position": 1e-3}}}
     env = TipPoseEnv(scene=scene, fidelity="fast", **options)
     twin = TipPoseEnv(scene=scene, fidelity="fast", **options)
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (8, 3))
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1.0, 1.0, (8, 3))
     for each in (env, twin):
         each.reset(seed=1)
         for action in actions[:4]:

@@ -77,7 +77,8 @@ def test_the_circle_is_the_paper_s():
     lean = np.radians(37.8)
     outward = np.sin(lean) / radius
     axis_x, axis_y, axis_z = R[:, :, 0].T
-    np.testing.assert_allclose(axis_x, np.cos(lean))
+    expected_axis_x = np.cos(lean)
+    np.testing.assert_allclose(axis_x, expected_axis_x)
     np.testing.assert_allclose(axis_y, outward * y, atol=1e-15)
     np.testing.assert_allclose(axis_z, outward * z, atol=1e-15)
     # across to where it leans: the axis of the shortest turn stays
@@ -95,7 +96,8 @@ def test_twists_and_rates_are_derivatives(target, arm):
     reading, _ = read(env, course, TIMES)
     beside = [read(env, course, TIMES + h) for h in (-H, H)]
     poses = np.stack([part.tip_pose for part, _ in beside], axis=1)
-    np.testing.assert_allclose(reading.tip_twist, twist_by_differences(poses, H), atol=1e-5)
+    expected_tip_twist = twist_by_differences(poses, H)
+    np.testing.assert_allclose(reading.tip_twist, expected_tip_twist, atol=1e-5)
     q_dot = course.coordinates(TIMES)[1]
     np.testing.assert_allclose(
         q_dot, (beside[1][1] - beside[0][1]) / (2 * H), atol=1e-5 * max(1.0, np.abs(q_dot).max())

@@ -127,7 +127,8 @@ def test_goals_are_rewarded_by_their_distance():
     dense = goal_reward(achieved, desired, 0.01, dense=True)
     for value, way in zip(dense, distance, strict=True):
         each = [1.0 / (1.0 + (way / (grade * 0.05)) ** 2) for grade in (4.0, 0.4, 0.04)]
-        assert value == pytest.approx(np.mean(each))
+        expected_value = np.mean(each)
+        assert value == pytest.approx(expected_value)
     with pytest.raises(ValueError, match=r"the same shape \(..., 3\), not \(3, 3\) and \(3,\)"):
         goal_distance(achieved, desired[0])
     with pytest.raises(ValueError, match="the same shape"):

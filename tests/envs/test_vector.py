@@ -251,7 +251,8 @@ def test_bad_counts_and_modes_are_refused_by_name(key, value, said):
 def test_a_reset_erases_what_was(task, arms, everything, live, same):
     options = {**arms["loaded"], "randomize": everything, "tension_limits": [0.0, 10.0]}
     env = KINDS[task][0](**options)
-    actions = np.random.default_rng(0).choice([-1.0, 1.0], (60, 3))
+    rng = np.random.default_rng(0)
+    actions = rng.choice([-1.0, 1.0], (60, 3))
     live(env, 1, 60, actions)
     fresh = KINDS[task][0](**options)
     assert same(live(env, 2, 30), live(fresh, 2, 30))

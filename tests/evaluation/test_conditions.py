@@ -124,7 +124,8 @@ def test_balls_swing_across_the_straight_arm_and_begin_beside_it(turned):
     for ball, place, axis in zip(balls, (0.4, 0.6), (1, 2), strict=True):
         middle = base[:3, 3] + place * 0.3 * base[:3, 0]
         np.testing.assert_allclose(ball["position"], middle, atol=1e-12)
-        np.testing.assert_allclose(ball["amplitude"], 0.25 * 0.3 * base[:3, axis], atol=1e-12)
+        expected_amplitude = 0.25 * 0.3 * base[:3, axis]
+        np.testing.assert_allclose(ball["amplitude"], expected_amplitude, atol=1e-12)
         assert ball["radius"] == pytest.approx(0.05 * 0.3)
         assert ball["phase"] == 90.0
     assert balls[0]["frequency"] != balls[1]["frequency"]

@@ -78,7 +78,8 @@ def test_a_key_is_of_all_that_a_result_depends_on(tmp_path):
             file.write_text(text)
         return CELL._replace(**{"options": options, **changes}).key("code")
 
-    save_scene(load_scene("three_tendon"), file)
+    scene = load_scene("three_tendon")
+    save_scene(scene, file)
     first = key()
     assert key() == first
     assert [*experiment._files_in({"passive": [{"file": str(file)}, "paper", ""], "order": 1})] == [

@@ -120,7 +120,8 @@ def test_a_summary_is_over_all_samples_of_episodes_alike():
     rng = np.random.default_rng(0)
     positions = rng.uniform(0.0, 1.0, (3, 9))
     summary = summarise([score(episode(position), skip=0.0) for position in positions])
-    assert summary.errors["position_error"].rms == pytest.approx(math.sqrt(np.mean(positions**2)))
+    expected_rms = math.sqrt(np.mean(positions**2))
+    assert summary.errors["position_error"].rms == pytest.approx(expected_rms)
     assert summary.errors["position_error"].percentile_95 == pytest.approx(
         np.percentile(positions, 95, axis=1).mean()
     )
@@ -215,7 +216,8 @@ def test_comparisons_are_made_episode_by_episode():
     better_mean = better.mean(KEY)
     worse_mean = worse.mean(KEY)
     assert better_mean.high > worse_mean.low
-    assert gap.value == pytest.approx(better_mean.value - worse_mean.value)
+    expected_value = better_mean.value - worse_mean.value
+    assert gap.value == pytest.approx(expected_value)
     assert gap.low < gap.value < gap.high < 0.0
 
 
@@ -245,7 +247,8 @@ def test_the_middle_half_is_averaged_and_counts_are_cut_as_scipy_cuts_them(count
     assert interquartile_mean([5.0, 100.0, 3.0, -100.0, 4.0]) == 4.0, (
         "a quarter of 5 is 1.25, so one at either end"
     )
-    values = np.random.default_rng(count).normal(size=(3, count, 2))
+    rng = np.random.default_rng(count)
+    values = rng.normal(size=(3, count, 2))
     np.testing.assert_allclose(
         interquartile_mean(values, axis=1), trim_mean(values, 0.25, axis=1), atol=1e-15
     )

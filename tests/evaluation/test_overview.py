@@ -72,7 +72,8 @@ def test_paths_are_those_of_tips_and_target_across_the_base(known, axes):
     paths = labelled(axes)
     assert [*paths] == ["target", *OFF]
     for name, off in [("target", 0.0), *OFF.items()]:
-        np.testing.assert_allclose(paths[name], circle(RADIUS + off)[:, 1:3, 3], atol=1e-12)
+        expected_paths = circle(RADIUS + off)[:, 1:3, 3]
+        np.testing.assert_allclose(paths[name], expected_paths, atol=1e-12)
     left, right = axes.get_xlim()
     assert left < -RADIUS, "a path far off is cut"
     assert RADIUS < right < RADIUS + OFF["paper"], "a path far off is cut"
@@ -88,7 +89,8 @@ def test_the_arm_is_drawn_from_its_first_sample_to_its_last(known, axes):
     length = known.rollouts["agent"].model.length
     backbones = overview.backbones_on_the_way(known.rollouts["agent"])
     assert len(backbones) == overview.SHAPES
-    np.testing.assert_allclose(backbones[:, -1], np.tile([length, 0.0, 0.0], (len(backbones), 1)))
+    expected_backbones = np.tile([length, 0.0, 0.0], (len(backbones), 1))
+    np.testing.assert_allclose(backbones[:, -1], expected_backbones)
     overview.draw_arm(axes, known, styles(OFF))
     rods = [line for line in axes.lines if line.get_color() == styles(OFF)["agent"].rgb]
     opacities = [line.get_alpha() for line in rods]
@@ -101,7 +103,8 @@ def test_errors_over_time_are_in_millimetres_and_seconds(known, axes):
     errors = labelled(axes)
     assert [*errors] == [*OFF]
     for name, off in OFF.items():
-        np.testing.assert_allclose(errors[name][:, 0], PERIOD * np.arange(SAMPLES))
+        expected_errors = PERIOD * np.arange(SAMPLES)
+        np.testing.assert_allclose(errors[name][:, 0], expected_errors)
         np.testing.assert_allclose(errors[name][:, 1], 1e3 * off + 1e-2)
 
 

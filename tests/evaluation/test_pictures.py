@@ -20,7 +20,8 @@ def standing(*errors):
     scores = []
     for seed, error in enumerate(errors):
         of_error = {"position_error": ErrorScore(error, error)}
-        scores.append(EpisodeScore(seed, 10, of_error, False, {}, 0.0, None, None, 0.001, 1.0))
+        score = EpisodeScore(seed, 10, of_error, False, {}, 0.0, None, None, 0.001, 1.0)
+        scores.append(score)
     return Standing([scores])
 
 

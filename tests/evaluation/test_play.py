@@ -46,7 +46,8 @@ def test_a_constant_pull_is_scored_as_it_acts():
     action = np.array([-0.5, 0.0, 0.5])
     wanted = least + 0.5 * (greatest - least) * (action + 1.0)
     (found,) = evaluate(Constant(*action), env, [3], skip=0.0)
-    assert found.metrics["effort"] == pytest.approx(np.sqrt(np.mean(wanted**2)))
+    expected_effort = np.sqrt(np.mean(wanted**2))
+    assert found.metrics["effort"] == pytest.approx(expected_effort)
     assert (found.seed, found.steps, found.diverged, found.reached) == (
         3,
         STEPS,

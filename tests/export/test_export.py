@@ -148,7 +148,8 @@ def test_another_policy_is_told_apart(exported):
     agent.network.actor.head.layers[0].bias[:] += 0.01
     _, difference, of_range = compare(path, agent, env, seeds=(0,), steps=3)
     assert of_range == pytest.approx(0.005, rel=1e-3)
-    assert difference == pytest.approx(of_range * np.ptp(env.unwrapped.episodes.limits[0]))
+    expected_difference = of_range * np.ptp(env.unwrapped.episodes.limits[0])
+    assert difference == pytest.approx(expected_difference)
 
 
 def test_it_remembers_and_says_what_goes_in(exported):

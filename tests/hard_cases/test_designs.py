@@ -57,7 +57,8 @@ def test_four_tendons_against_an_explicit_basis(build, measured, tip_distance):
         "order": 3,
         "span": "rod",
     }
-    full = build("four_tendon", {"strain": {"type": "explicit", "modes": [modes]}})
+    changes = {"strain": {"type": "explicit", "modes": [modes]}}
+    full = build("four_tendon", changes)
     tensions = ([3, 3, 3, 3], [10, 0, 0, 0], [10, 3, 2, 7], [10, 10, 0, 0])
     for tension in tensions:
         few = static_equilibrium(model, tension)
@@ -153,7 +154,8 @@ def test_catheter(build, measured, one_pulled, tip_distance, tension, step):
     assert rest.converged
     position = rest.tip_pose[:3, 3]
     bound = 0.2 * (1e-5 + 4e-4 * 0.2 * k)
-    assert np.abs(position - arc).max() < bound
+    difference = position - arc
+    assert np.abs(difference).max() < bound
     motion = ste.simulate(model, u, 4.0, 0.01)
     assert np.abs(motion.q).max() < 1.5 * tension
     assert tip_distance(motion.tip_pose[-1], rest.tip_pose) < 1e-6
@@ -198,7 +200,8 @@ def test_slender_and_stubby_arms(one_segment, measured, tip_distance, shape, ang
 def test_a_hundred_times_the_damping(build, measured, step):
     """Damping of 10 times critical: rates from 1e-1 to 1e6 1/s in one equation. Expected: no
     overshoot, no rejected step, and the tensions are reached after 200 s."""
-    model = build("paper", {"segments.0.damping": 1e6, "integrator.step": step})
+    changes = {"segments.0.damping": 1e6, "integrator.step": step}
+    model = build("paper", changes)
     u = np.zeros(10)
     u[[0, 4]] = 50.0, 30.0
     motion = ste.simulate(model, u, 200.0, 1.0)
@@ -223,11 +226,13 @@ def test_tendons_that_end_a_millimetre_apart(one_segment, straight_tendons, meas
     for u in ([50.0, 0, 0, 0], [0, 50.0, 0, 0], [50.0, 50.0, 50.0, 50.0]):
         rest = static_equilibrium(model, u)
         assert rest.converged
-        assert np.abs(rest.q - u).max() < 1e-6
+        difference = rest.q - u
+        assert np.abs(difference).max() < 1e-6
         motion = ste.simulate(model, u, 2.0, 0.01)
         measured("q / tension", np.abs(motion.q).max() / 50.0)
         assert np.abs(motion.q).max() < 100.0
-    tensions = np.random.default_rng(1).uniform(0, 50, (1000, 4))
+    rng = np.random.default_rng(1)
+    tensions = rng.uniform(0, 50, (1000, 4))
     motion = ste.simulate(model, tensions, 10.0, 0.01)
     measured("q / tension, random", np.abs(motion.q).max() / 50.0)
     assert np.abs(motion.q).max() < 100.0

@@ -26,7 +26,8 @@ def with_elastic_tendons(name, stiffness, **changes):
 
 
 def commands(model, greatest, rows, seed):
-    return np.random.default_rng(seed).uniform(0.0, greatest, (rows, model.tendon_count))
+    rng = np.random.default_rng(seed)
+    return rng.uniform(0.0, greatest, (rows, model.tendon_count))
 
 
 @pytest.mark.parametrize(

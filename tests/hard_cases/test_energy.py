@@ -196,7 +196,8 @@ def test_arm_without_damping_for_ten_seconds(build, measured, scene, step):
     """No damping at all, released from a bent shape: fast undamped modes turn every unstable method
     into an explosion. Expected: with the default integrator the energy never exceeds that of the
     start."""
-    model = build(scene, {"segments.0.damping": 0.0, "integrator.step": step})
+    changes = {"segments.0.damping": 0.0, "integrator.step": step}
+    model = build(scene, changes)
     check_that_energy_never_grows(model, measured, 10.0)
 
 
@@ -205,7 +206,8 @@ def test_arm_without_damping_for_ten_seconds(build, measured, scene, step):
 def test_arm_without_damping_whose_order_follows_the_error(build, measured, scene, tolerance):
     """The same with a tolerance, where steps of several orders and sizes follow each other: more
     than two columns would feed fast modes. Expected: the energy never exceeds that of the start."""
-    model = build(scene, {"segments.0.damping": 0.0, "integrator.tolerance": tolerance})
+    changes = {"segments.0.damping": 0.0, "integrator.tolerance": tolerance}
+    model = build(scene, changes)
     check_that_energy_never_grows(model, measured, 5.0)
 
 

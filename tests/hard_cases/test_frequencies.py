@@ -34,7 +34,8 @@ def wrong_share(scene, fidelity):
     *_, frequency = scene
     base = ste.load_scene("two_segment_six").replace(scene[0])
     usual = at_fidelity(base, fidelity)
-    fine = usual.replace({"integrator": {"step": min(1e-3, 0.01 / frequency), "columns": 3}})
+    changes = {"integrator": {"step": min(1e-3, 0.01 / frequency), "columns": 3}}
+    fine = usual.replace(changes)
     found, exact = (
         ste.simulate(ste.build_model(each), np.zeros(6), DURATION, SAMPLES).tip_pose[:, :3, 3]
         for each in (usual, fine)
@@ -107,7 +108,8 @@ def test_tension_that_swings_within_steps(measured):
     """A tension that is a function of time is held over steps at its value in their middle: one of
     50 Hz is a constant at 20 ms. Expected: a warning that says by how much, and none for what the
     steps follow."""
-    model = ste.build_model(ste.load_scene("three_tendon"))
+    scene = ste.load_scene("three_tendon")
+    model = ste.build_model(scene)
     for frequency, told in ((50.0, True), (100.0, True), (23.0, True), (0.5, False), (3.0, False)):
         for phase in (0.0, 0.5 * np.pi):
             with warnings.catch_warnings(record=True) as caught:
@@ -136,7 +138,8 @@ def test_actuators_that_arrive_within_a_step(fidelity, measured):
     step: a kink that no estimate of the error sees. Expected: the tip within 5 % of its motion of
     steps of 0.2 ms."""
     base = ste.load_scene("two_segment_six")
-    commands = np.random.default_rng(5).uniform(0.0, 4.0, (25, 6))
+    rng = np.random.default_rng(5)
+    commands = rng.uniform(0.0, 4.0, (25, 6))
     shares = []
     for actuators in (
         {"rate_limit": 300.0},
@@ -145,7 +148,8 @@ def test_actuators_that_arrive_within_a_step(fidelity, measured):
         {"rate_limit": 150.0, "time_constant": 4e-3},
     ):
         usual = at_fidelity(base.replace({"effects.actuators": actuators}), fidelity)
-        fine = usual.replace({"integrator": {"step": 2e-4, "columns": 3}})
+        changes = {"integrator": {"step": 2e-4, "columns": 3}}
+        fine = usual.replace(changes)
         found, exact = (
             ste.simulate(ste.build_model(each), commands, 0.5, 0.02).tip_pose[:, :3, 3]
             for each in (usual, fine)

@@ -22,7 +22,8 @@ MOST = 10.0
 def _model(changes, name="three_tendon"):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return ste.build_model(ste.load_scene(name).replace(changes))
+        scene = ste.load_scene(name).replace(changes)
+        return ste.build_model(scene)
 
 
 def peak_memory(call):

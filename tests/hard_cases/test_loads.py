@@ -54,7 +54,8 @@ def test_abrupt_tension_with_raw_passive_coordinates(build, measured, step):
     """The paper's own passive fields: phantom tensions blow the 16-DOF model up, at any step size.
     Expected: finite motion, or SimulationDiverged with a finite state, after a bounded number of
     attempts."""
-    model = build("paper_16dof", {"strain.passive_coordinates": "raw", "integrator.step": step})
+    changes = {"strain.passive_coordinates": "raw", "integrator.step": step}
+    model = build("paper_16dof", changes)
     failed = 0
     for value in (80.0, 150.0):
         for which in (0, 3, 5, 8, "all"):
@@ -109,9 +110,11 @@ def test_random_tensions_for_a_minute(build, measured, scene, columns, step, mos
     steps of 10 ms and twice that tension at 20 ms, where the motion is chaotic (over 48 inputs and
     two roundings the most was 1.39 to 1.79 times), rejected steps counted (at most 1 % at 10 ms, 30
     % at 20 ms), and the last state continues."""
-    model = build(scene, {"integrator.columns": columns, "integrator.step": step})
+    changes = {"integrator.columns": columns, "integrator.step": step}
+    model = build(scene, changes)
     for hold in (0.01, 0.02):
-        tensions = np.random.default_rng(0).uniform(0.0, 150.0, (round(60.0 / hold), 10))
+        rng = np.random.default_rng(0)
+        tensions = rng.uniform(0.0, 150.0, (round(60.0 / hold), 10))
         motion = ste.simulate(model, tensions, 60.0, hold)
         assert np.isfinite(motion.q).all()
         assert np.isfinite(motion.q_dot).all()
@@ -179,7 +182,8 @@ def test_error_control_through_an_abrupt_load(build, measured, tip_distance, sce
     )
     distances = []
     for tolerance in (1e-4, 1e-6):
-        model = build(scene, {"integrator.tolerance": tolerance, "integrator.columns": 4})
+        changes = {"integrator.tolerance": tolerance, "integrator.columns": 4}
+        model = build(scene, changes)
         motion = ste.simulate(model, u, 0.5, 0.01)
         distances.append(tip_distance(motion.tip_pose, exact.tip_pose))
     measured("tip error at 1e-6 [mm]", 1e3 * distances[1])
@@ -231,7 +235,8 @@ def test_order_control_under_random_tensions(build, measured, tolerance):
     """0 to 150 N redrawn every 20 ms for 20 s, which break steps of 20 ms with two columns.
     Expected: a finite motion, and no step fails for good."""
     model = build("paper moments 0-2", {"integrator.tolerance": tolerance})
-    tensions = np.random.default_rng(4).uniform(0.0, 150.0, (1000, 10))
+    rng = np.random.default_rng(4)
+    tensions = rng.uniform(0.0, 150.0, (1000, 10))
     motion = ste.simulate(model, tensions, 20.0, 0.02)
     measured("evaluations per 20 ms", motion.evaluations / 1000)
     measured("rejected steps", motion.rejected)

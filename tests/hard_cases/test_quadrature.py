@@ -149,7 +149,8 @@ def test_fields_of_order_twelve(measured, tip_distance, kind):
     tolerance; 6 given are told to be too few, or refused."""
     modes = [{"strains": ANGULAR, "order": 12, "span": "rod"}]
     strain = {"type": kind, **({"modes": modes} if kind == "explicit" else {"passive": modes})}
-    scene = ste.load_scene("three_tendon").replace({"strain": strain, **helices(2)})
+    changes = {"strain": strain, **helices(2)}
+    scene = ste.load_scene("three_tendon").replace(changes)
     model = ste.build_model(scene)
     fine = ste.build_model(scene.replace({"quadrature.intervals": 96}))
     exact = ste.static_equilibrium(fine, [5.0, 2.0, 0.0])

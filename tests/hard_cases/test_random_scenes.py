@@ -65,7 +65,8 @@ def test_a_random_scene_pushed_off_its_equilibrium_comes_back(measured, numbers)
         rest = ste.static_equilibrium(model, tension)
         if not rest.converged:
             continue
-        off = np.random.default_rng(number).normal(size=model.coordinate_count)
+        rng = np.random.default_rng(number)
+        off = rng.normal(size=model.coordinate_count)
         start = rest.q + 0.05 * off / np.linalg.norm(off) * model.coordinate_scale()
         motion = ste.simulate(
             model, tension, 600.0, 60.0, initial=ste.Simulation(model).reset(start)

@@ -20,7 +20,8 @@ SETTINGS = {
 
 def random_tensions(model, rows, seed=0):
     greatest = 0.5 * model.scene.tendons[0].tension_limits[1]
-    return np.random.default_rng(seed).uniform(0.0, greatest, (rows, model.tendon_count))
+    rng = np.random.default_rng(seed)
+    return rng.uniform(0.0, greatest, (rows, model.tendon_count))
 
 
 def same_state(a, b):
@@ -74,7 +75,8 @@ def test_rows_of_an_environment(build, measured, setting):
 def test_whole_and_single_steps(build, setting):
     """One call of simulate, or a call of Simulation.step for every row, with a diverging simulation
     between them. Expected: the same samples to round-off, and the same numbers of steps."""
-    assert_whole_is_single_steps(build, build(*SETTINGS[setting]), 0.01, 20)
+    model = build(*SETTINGS[setting])
+    assert_whole_is_single_steps(build, model, 0.01, 20)
 
 
 def assert_whole_is_single_steps(build, model, period, rows, tensions=None):
@@ -89,7 +91,8 @@ def assert_whole_is_single_steps(build, model, period, rows, tensions=None):
     for row in tensions:
         steps += simulation.step(row, period).steps
         samples.append(simulation.state.q)
-    np.testing.assert_allclose(samples, whole.q[1:], rtol=1e-12, atol=1e-12 * np.abs(whole.q).max())
+    largest = np.abs(whole.q).max()
+    np.testing.assert_allclose(samples, whole.q[1:], rtol=1e-12, atol=1e-12 * largest)
     assert steps == whole.steps
     return whole
 
@@ -98,7 +101,8 @@ def test_whole_and_single_steps_where_steps_are_halved(build, measured):
     """Tensions of 0-150 N that jump every 20 ms make steps fail; a step size remembered from one
     row to the next would show. Expected: some steps are tried again, and calls of Simulation.step
     give the samples of simulate to round-off."""
-    tensions = np.random.default_rng(0).uniform(0.0, 150.0, (100, 10))
+    rng = np.random.default_rng(0)
+    tensions = rng.uniform(0.0, 150.0, (100, 10))
     whole = assert_whole_is_single_steps(
         build, build("paper moments 0-2", {"integrator.columns": 2}), 0.02, 0, tensions
     )
@@ -109,7 +113,8 @@ def test_whole_and_single_steps_where_steps_are_halved(build, measured):
 def test_failed_step_leaves_the_last_good_state(build):
     """A step fails half way through a call that takes several. Expected: the simulation stands at
     the state that the error carries, and a milder tension goes on from there."""
-    simulation = ste.Simulation(build("paper", {"integrator.step": 0.005}))
+    model = build("paper", {"integrator.step": 0.005})
+    simulation = ste.Simulation(model)
     with pytest.raises(ste.SimulationDiverged) as caught:
         for _ in range(100):
             simulation.step(np.where(np.arange(10) == 0, 270.0, 0.0), 0.05)

@@ -29,7 +29,8 @@ def test_simulate_begins_at_rest_under_loads(tip_distance, measured):
     more than any accuracy that is stated. Expected: without tension nothing moves, to 1e-6 of the
     length, with tendon friction too; from the stress-free state the arm falls."""
     for name, changes in LOADED.items():
-        model = ste.build_model(at_fidelity(ste.load_scene(name).replace(changes), "standard"))
+        scene = ste.load_scene(name).replace(changes)
+        model = ste.build_model(at_fidelity(scene, "standard"))
         slack = np.zeros(model.tendon_count)
         motion = ste.simulate(model, slack, 1.0, 0.1)
         moved = tip_distance(motion.tip_pose, motion.tip_pose[:1]) / model.length
@@ -47,7 +48,8 @@ def test_simulate_begins_at_rest_under_loads(tip_distance, measured):
         start = ste.Simulation(model).reset_at_rest(slack + 1.0, time=0.5)
         held = ste.simulate(model, slack + 1.0, 0.1, 0.1, start).q
         assert start.time == 0.5
-        assert np.abs(held - start.q).max() < 1e-4 * np.abs(start.q).max()
+        difference = held - start.q
+        assert np.abs(difference).max() < 1e-4 * np.abs(start.q).max()
 
 
 @pytest.mark.slow

@@ -60,7 +60,8 @@ def record_of(folder, placed):
         """In the frame of the data, with noise."""
         R = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # of TURN
         inside = (positions - placed.frame.translation) @ R
-        return inside + noise * np.random.default_rng(seed).normal(size=inside.shape)
+        rng = np.random.default_rng(seed)
+        return inside + noise * rng.normal(size=inside.shape)
 
     def write(arm, name, truth, tensions, period=0.0, noise=NOISE, seed=0):
         scene = arm.replace(truth)

@@ -19,7 +19,8 @@ def test_a_play_is_taken_up_before_anything_arrives():
     arriving = after_play(commands, np.array([0.25, 0.25, 0.0]))
     expected = [0.0, 0.05, 0.75, 1.75, 1.75, 1.65, 1.25, 1.25, 2.75]
     np.testing.assert_allclose(arriving[:, 0], expected, atol=1e-12)
-    np.testing.assert_allclose(arriving[:, 1], -np.array(expected), atol=1e-12)
+    expected_arriving = -np.array(expected)
+    np.testing.assert_allclose(arriving[:, 1], expected_arriving, atol=1e-12)
     np.testing.assert_array_equal(arriving[:, 2], up_and_down)
     assert commands[1, 0] == 0.3  # the commands stay as they are
 
@@ -45,7 +46,8 @@ def plants(arm):
     placed = MarkerSet.parse({"markers": {"tip": {"arc_length": 0.2}}}, "test")
     asked = ["commands.backlash", "commands.1.gain"]
     parameters = read_parameters(asked, driven, placed)
-    return Plants(driven, build_model(driven), placed, parameters)
+    model = build_model(driven)
+    return Plants(driven, model, placed, parameters)
 
 
 def test_backlash_is_one_for_all_tendons_and_a_share_of_their_range(plants):

@@ -105,7 +105,8 @@ def test_a_noise_that_is_not_known_is_that_of_the_residuals(problem):
     assert 1.0 < decided < 2.0
     squares = np.sum(problem.residual(x) ** 2)
     variance = squares / (COUNT - decided)
-    assert estimate.sigma == pytest.approx(np.sqrt(variance), rel=0.02)
+    expected_sigma = np.sqrt(variance)
+    assert estimate.sigma == pytest.approx(expected_sigma, rel=0.02)
 
 
 def test_the_fit_stays_within_its_bounds():

@@ -63,10 +63,12 @@ def test_derivatives_are_those_of_smaller_differences(arm, holds, placed):
     for step in d * np.eye(x.size):
         ahead = readings.residual(x + step)
         behind = readings.residual(x - step)
-        slopes.append((ahead - behind) / (2 * d))
+        slope = (ahead - behind) / (2 * d)
+        slopes.append(slope)
     other = np.stack(slopes, axis=-1)
     off = np.abs(J - other).max()
-    assert off < 1e-5 * np.abs(J).max()
+    largest = np.abs(J).max()
+    assert off < 1e-5 * largest
 
 
 def test_derivatives_under_displacements_are_differences_of_equilibria(arm):
@@ -93,10 +95,12 @@ def test_derivatives_under_displacements_are_differences_of_equilibria(arm):
     for step in d * np.eye(4):
         ahead = readings.residual(x + step)
         behind = readings.residual(x - step)
-        slopes.append((ahead - behind) / (2 * d))
+        slope = (ahead - behind) / (2 * d)
+        slopes.append(slope)
     other = np.stack(slopes, axis=-1)
     off = np.abs(readings.jacobian(x) - other).max()
-    assert off < 1e-6 * np.abs(other).max()
+    largest_other = np.abs(other).max()
+    assert off < 1e-6 * largest_other
 
 
 def test_a_file_judges_and_few_recordings_are_fitted_to(arm, holds, placed):
@@ -115,13 +119,15 @@ def test_a_fit_ends_where_progress_is_noise_and_one_that_does_not_converge_is_to
         "type": "explicit",
         "modes": [{"strains": ["bend_y", "bend_z"], "order": 0, "span": "rod"}],
     }
-    driven = arm.replace({"effects": {"tendon_elasticity": elastic}, "strain": strain})
+    changes = {"effects": {"tendon_elasticity": elastic}, "strain": strain}
+    driven = arm.replace(changes)
     placed = MarkerSet.parse({"markers": {"tip": {"arc_length": 0.2}}}, "test")
     asked = [
         "effects.tendon_elasticity.stiffness",
         *(f"effects.tendon_elasticity.slack.{i}=-0.002..0.002" for i in range(3)),
     ]
-    plants = Plants(driven, build_model(driven), placed, read_parameters(asked, driven, placed))
+    model = build_model(driven)
+    plants = Plants(driven, model, placed, read_parameters(asked, driven, placed))
     random = np.random.default_rng(0)
     holds = [
         Recording(f"{i}", "test", random.uniform(-2e-3, 3e-3, (1, 3)), np.zeros((1, 1, 3)), 0.0, {})
@@ -320,7 +326,8 @@ def test_an_arm_that_is_driven_by_displacement_shows_its_stiffness_beside_that_o
         {"effects.tendon_elasticity": {"stiffness": 2000.0, "displacement_limits": [0.0, 0.01]}}
     )
     parameters = read_parameters([E], elastic, placed)
-    plants = Plants(elastic, build_model(elastic), placed, parameters)
+    model = build_model(elastic)
+    plants = Plants(elastic, model, placed, parameters)
     commands = np.array([[2e-3, 0.0, 0.0], [0.0, 4e-3, 0.0], [1e-3, 0.0, 3e-3]])
     still = [
         Recording(f"{i}", "simulated", one[None], np.zeros((1, 3, 3)), 0.0, {})

@@ -181,7 +181,8 @@ def test_a_sample_that_stands_out_of_a_slow_error_is_an_outlier_and_the_slow_err
 
 
 def test_a_motion_that_begins_before_rest_is_told_from_half_a_percent_of_the_arm_on():
-    noise = 1e-4 * np.random.default_rng(1).normal(size=(10, 2, 3))
+    rng = np.random.default_rng(1)
+    noise = 1e-4 * rng.normal(size=(10, 2, 3))
     for way, count in ((1.2e-3, 0), (1.8e-3, 1)):
         positions = np.zeros((10, 2, 3))
         positions[1:, 1, 0] = way

@@ -21,7 +21,8 @@ SHIFT = np.array([0.02, -0.01, 0.03])
 def holds_of(name):
     """An arm, tensions, positions of two markers in holds of it, softer than it is drawn, and the
     markers."""
-    scene = load_scene(name).replace({"effects.gravity.acceleration": [6.0, 2.0, -5.0]})
+    changes = {"effects.gravity.acceleration": [6.0, 2.0, -5.0]}
+    scene = load_scene(name).replace(changes)
     softer = {
         f"segments.{i}.young_modulus": 0.8 * segment.young_modulus
         for i, segment in enumerate(scene.segments)
@@ -29,7 +30,8 @@ def holds_of(name):
     length = sum(segment.length for segment in scene.segments)
     model = build_model(scene.replace(softer))
     most = 0.4 * np.array([tendon.tension_limits[1] for tendon in scene.tendons])
-    shares = np.random.default_rng(5).uniform(0.0, 1.0, (10, most.size))
+    rng = np.random.default_rng(5)
+    shares = rng.uniform(0.0, 1.0, (10, most.size))
     tensions = shares * most
     places = np.array([0.6, 1.0]) * length
     positions = [
@@ -132,7 +134,8 @@ def test_the_unit_of_commands_is_that_of_their_own_columns(columns, grams):
     """Also where a marker's name begins like that of commands."""
     scene = load_scene("three_tendon")
     markers = MarkerSet(markers={"tension_gauge": Marker(arc_length=0.3)}, columns=columns)
-    factors = command_factors(Plants(scene, build_model(scene), markers, []))
+    model = build_model(scene)
+    factors = command_factors(Plants(scene, model, markers, []))
     assert factors["commands in g"] == pytest.approx(grams, rel=1e-12)
     assert factors["commands of the other sign"] == -1.0
 
@@ -205,7 +208,8 @@ def test_stiffness_far_from_the_drawing_is_told(tmp_path):
     """Without other loads, a wrong unit of the tensions goes into the stiffness alone."""
     scene = load_scene("three_tendon")
     model = build_model(scene)
-    tensions = np.random.default_rng(5).uniform(0.0, 3.0, (6, 3))
+    rng = np.random.default_rng(5)
+    tensions = rng.uniform(0.0, 3.0, (6, 3))
     positions = np.array(
         [
             model.backbone_at(static_equilibrium(model, tension).q, [0.15, 0.3])[:, :3, 3]
@@ -243,6 +247,7 @@ def test_counts_with_a_scale_are_commands_in_their_si_unit():
     scene = load_scene("three_tendon")
     columns = {"tension_*": {"unit": "counts", "scale": 0.01}}
     markers = MarkerSet(markers={"m": Marker(arc_length=0.3)}, columns=columns)
-    factors = command_factors(Plants(scene, build_model(scene), markers, []))
+    model = build_model(scene)
+    factors = command_factors(Plants(scene, model, markers, []))
     assert factors["commands in kg"] == pytest.approx(9.80665)
     assert "commands in N" not in factors

@@ -37,7 +37,8 @@ def test_entries_of_a_list_change_together_and_angles_by_differences(placed):
         "tendons.1.routing": {"type": "surface", "angle": 10.0},
     }
     asked = ["effects.tendon_elasticity.slack.0,2=-0.002..0.002", "tendons.1.routing.angle"]
-    slack, angle = read_parameters(asked, load_scene("three_tendon").replace(changes), placed)
+    scene = load_scene("three_tendon").replace(changes)
+    slack, angle = read_parameters(asked, scene, placed)
     assert slack.of_scene.keys == (
         "effects.tendon_elasticity.slack.0",
         "effects.tendon_elasticity.slack.2",
@@ -87,7 +88,8 @@ def test_bad_parameters_are_told(arm, placed, asked, message):
 
 def test_a_base_that_is_elsewhere_takes_the_markers_along(arm, placed):
     parameters = read_parameters(["base", "commands.*.gain", "commands.delay"], arm, placed)
-    plants = Plants(arm, build_model(arm), placed, parameters)
+    model = build_model(arm)
+    plants = Plants(arm, model, placed, parameters)
     x = np.zeros(len(parameters))
     x[:6] = [
         0.0,
@@ -141,7 +143,8 @@ def test_priors_are_shares_of_the_arms_length_and_of_its_actuators_ranges():
         ({}, "commands.1.offset", 0.25),
         ({}, "base.position.2", 3.75e-3),
     ):
-        (parameter,) = read_parameters([key], load_scene("three_tendon").replace(changes), placed)
+        scene = load_scene("three_tendon").replace(changes)
+        (parameter,) = read_parameters([key], scene, placed)
         assert parameter.prior == pytest.approx(prior)
         assert parameter.high - parameter.value == pytest.approx(5.0 * prior)
 
@@ -175,7 +178,8 @@ def test_a_parameter_itself_says_what_it_moves_whatever_its_name(arm, placed):
         replace(offset, name="segments.0.density"),
         replace(gain, name="base.position.0"),
     )
-    plants = Plants(arm, build_model(arm), placed, renamed)
+    model = build_model(arm)
+    plants = Plants(arm, model, placed, renamed)
     assert plants.moves_arm == [True, False, True]
     measurement = plants.measurement(np.array([0.0, 1.0, np.log(1.2)]))
     moved = measurement.offsets - placed.offsets

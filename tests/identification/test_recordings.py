@@ -119,7 +119,8 @@ def test_repeats_of_the_same_commands_are_found(commands, groups):
 
 @pytest.mark.parametrize(("share", "count"), [("0.25", 4), ("0.5", 8)])
 def test_repeats_stay_together_when_some_are_held_out(share, count):
-    tensions = np.random.default_rng(0).uniform(0.0, 5.0, (4, 3))
+    rng = np.random.default_rng(0)
+    tensions = rng.uniform(0.0, 5.0, (4, 3))
     parts = split(
         recordings_of(
             *(np.tile(tensions, (4, 1)) + 0.01 * np.random.default_rng(1).uniform(size=(16, 3)))
@@ -370,7 +371,8 @@ def test_times_are_read_in_their_unit(tmp_path, period, begin, unit):
     times = []
     for k in range(20):
         jitter = 0.1 * (k % 2)
-        times.append(begin + period * (k + jitter))
+        time = begin + period * (k + jitter)
+        times.append(time)
     markers = MarkerSet(markers=MARKERS.markers, columns={"time": {"unit": unit}})
     (found,) = read(tmp_path, motion(times), markers)
     assert found.period == pytest.approx(

@@ -66,7 +66,8 @@ def read(tmp_path, lines, columns, name="log.csv"):
     path = tmp_path / name
     path.write_text("\n".join(lines) + "\n")
     markers = MarkerSet(markers=MARKERS, columns=columns)
-    return read_recordings([path], load_scene("three_tendon"), markers)
+    scene = load_scene("three_tendon")
+    return read_recordings([path], scene, markers)
 
 
 def assert_holds(recordings):
@@ -183,7 +184,8 @@ def test_scales_and_units_that_say_nothing_are_told(tmp_path, columns, error, me
 
 def read_arrays(path, columns):
     markers = MarkerSet(markers=MARKERS, columns=columns)
-    return read_recordings([path], load_scene("three_tendon"), markers)
+    scene = load_scene("three_tendon")
+    return read_recordings([path], scene, markers)
 
 
 def test_arrays_of_numpy_are_columns(tmp_path):

@@ -247,7 +247,8 @@ def test_the_average_of_weights_acts_and_is_saved(tmp_path):
     assert not torch.equal(averaged.action_net.weight, agent.policy.action_net.weight)
     observation = agent.env.reset()
     action, _ = agent.predict(observation, deterministic=True)
-    np.testing.assert_array_equal(action, averaged.predict(observation, deterministic=True)[0])
+    expected_action = averaged.predict(observation, deterministic=True)[0]
+    np.testing.assert_array_equal(action, expected_action)
     agent.save(tmp_path / "agent")
     loaded = APG.load(tmp_path / "agent", env=agent.env)
     assert torch.equal(loaded.acting_policy.action_net.weight, averaged.action_net.weight)

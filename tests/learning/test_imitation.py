@@ -46,7 +46,8 @@ def errors_of_the_teacher(task, steps=120, **options):
         assert actions.shape == (4, 3)
         assert (np.abs(actions) <= 1.0).all()
         envs.step(actions)
-        errors.append(next(iter(episodes.errors.values())).copy())
+        error = next(iter(episodes.errors.values())).copy()
+        errors.append(error)
     return np.array(errors) / episodes.model.length
 
 

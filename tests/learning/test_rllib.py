@@ -94,7 +94,8 @@ def test_runners_have_the_rows_of_one_environment_each_its_own(training):
     np.testing.assert_array_equal(
         np.concatenate([env.reset(seed=100)[0] for env in envs]), expected
     )
-    actions = np.random.default_rng(0).uniform(-1, 1, (4, 3)).astype(np.float32)
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1, 1, (4, 3)).astype(np.float32)
     for _ in range(22):  # past the end of an episode
         results, expected = (
             [env.step(part) for env, part in zip(envs, np.split(actions, 2), strict=True)],
@@ -140,7 +141,8 @@ def test_a_training_leaves_what_one_of_stable_baselines3_does_and_goes_on(
     )
     policy = load_policy(str(tmp_path / "last"), gym.make(IDS[task], **chosen.options))
     action, _ = policy.predict(observation, None, np.ones(64, dtype=bool))
-    np.testing.assert_allclose(action, np.clip(mean.numpy(), -1.0, 1.0), atol=1e-6)
+    expected_action = np.clip(mean.numpy(), -1.0, 1.0)
+    np.testing.assert_allclose(action, expected_action, atol=1e-6)
     more, before = (
         training(task=task, steps=384),
         {name: value.clone() for name, value in done.network().state_dict().items()},

@@ -67,7 +67,8 @@ def test_force_and_gravity_bend_the_arm_by_a_radian_as_far_as_it_is_linear():
         "effects.gravity.acceleration": [0.0, small * units["gravity"], 0.0],
     }
     for key, vector in loads.items():
-        bent = scene.replace({key: vector, "strain.include_loads": True})
+        changes = {key: vector, "strain.include_loads": True}
+        bent = scene.replace(changes)
         model = ste.build_model(bent, "scene")
         rest = ste.static_equilibrium(model, np.zeros(3))
         angle = np.arctan2(rest.tip_pose[1, 0], rest.tip_pose[0, 0])
@@ -76,21 +77,25 @@ def test_force_and_gravity_bend_the_arm_by_a_radian_as_far_as_it_is_linear():
 
 def test_a_stiff_arm_is_pushed_by_what_bends_it_while_nobody_can_react():
     scene = ste.load_scene("three_tendon")
-    stiffer = scene.replace({"segments.*.young_modulus": 100.0 * 5e5})
+    changes = {"segments.*.young_modulus": 100.0 * 5e5}
+    stiffer = scene.replace(changes)
     before = arm_units(scene, {})
     after = arm_units(stiffer, {})
     # it swings twice as far as to its rest within a tenth of a second
     at_rest = 0.05
-    assert after["force"] == pytest.approx(100.0 * at_rest * before["force"])
+    expected_force = 100.0 * at_rest * before["force"]
+    assert after["force"] == pytest.approx(expected_force)
 
 
 def test_pace_is_a_second_or_half_a_period_of_a_slower_arm():
     scene = ste.load_scene("three_tendon")
-    slower = scene.replace({"segments.*.young_modulus": 0.04 * 5e5})
+    changes = {"segments.*.young_modulus": 0.04 * 5e5}
+    slower = scene.replace(changes)
     before = arm_units(scene, {})
     after = arm_units(slower, {})
     assert before["pace"] == 1.0
-    assert after["speed"] == pytest.approx(0.2 * before["speed"])
+    expected_speed = 0.2 * before["speed"]
+    assert after["speed"] == pytest.approx(expected_speed)
     period = 2.0 * np.pi * after["length"] / after["speed"]
     assert after["pace"] == pytest.approx(0.5 * period, rel=0.05)
     heavy = slower.replace({"effects.tip_load.mass": after["mass"]})

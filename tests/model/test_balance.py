@@ -61,11 +61,13 @@ def test_the_residual_is_the_angle_that_the_force_bends_by(bent):
     answer = np.linalg.solve(found.G, found.force)
     unbalanced = found.force @ answer
     stored = BENDING / LENGTH + q @ found.G @ q
-    assert found.residual == pytest.approx(np.sqrt(unbalanced / stored))
+    expected_residual = np.sqrt(unbalanced / stored)
+    assert found.residual == pytest.approx(expected_residual)
     turned = bent.angle(answer)
     metric = BENDING * LENGTH
     squared = metric * (answer @ answer)
-    assert turned == pytest.approx(np.sqrt(squared * LENGTH / BENDING))
+    expected_turned = np.sqrt(squared * LENGTH / BENDING)
+    assert turned == pytest.approx(expected_turned)
 
 
 def test_steps_along_a_path_are_cubics_through_equilibria(bent, monkeypatch):
@@ -110,7 +112,8 @@ def test_steps_off_their_path_are_not_taken(bent, monkeypatch, stray, is_taken):
 @pytest.mark.parametrize(("share", "is_continuous"), [(0.5, True), (1.5, False)])
 def test_strains_break_where_pushes_outweigh_the_shear_stiffness(share, is_continuous):
     """T / |t| = G A of a straight tendon that pushes; what broke is said, and nothing else."""
-    model = model_on(load_scene("three_tendon"), 4)
+    scene = load_scene("three_tendon")
+    model = model_on(scene, 4)
     with model.workspace() as work:
         balance = Balance(model, np.zeros(3), work)
         stiffness = 5e5 / 3.0 * np.pi * 0.01**2
@@ -138,8 +141,10 @@ def test_loads_that_turn_the_arm_about_make_it_flutter(bent, share, flutters):
     mass = terms.mass[0, 0]
     damping = terms.damping[0, 0]
     stiffness = BENDING * LENGTH
-    np.testing.assert_allclose(terms.mass, mass * np.eye(2), rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(terms.damping, damping * np.eye(2), rtol=1e-9, atol=1e-12)
+    expected_mass = mass * np.eye(2)
+    np.testing.assert_allclose(terms.mass, expected_mass, rtol=1e-9, atol=1e-12)
+    expected_damping = damping * np.eye(2)
+    np.testing.assert_allclose(terms.damping, expected_damping, rtol=1e-9, atol=1e-12)
     circulation = share * damping * np.sqrt(stiffness / mass)
     turning = circulation * np.array([[0.0, 1.0], [-1.0, 0.0]])
     stability = with_stiffness(bent, stiffness * np.eye(2) + turning).stability
@@ -172,7 +177,8 @@ def test_neutral_modes_have_no_compliance_and_others_theirs(bent):
     stiff = BENDING * LENGTH * np.outer(direction, direction)
     compliance = bent._inverse(stiff)
     expected = np.outer(direction, direction) / (BENDING * LENGTH)
-    np.testing.assert_allclose(compliance, expected, atol=1e-9 * np.abs(expected).max())
+    largest = np.abs(expected).max()
+    np.testing.assert_allclose(compliance, expected, atol=1e-9 * largest)
     singular = np.array([[1.0, 1.0], [0.0, 0.0]])
     assert bent._inverse(BENDING * LENGTH * singular) is None
     assert "gives way without further load" in bent.obstacle
@@ -237,7 +243,8 @@ def test_loads_that_flutter_leave_nowhere_to_settle():
         "segments.*.damping": 1e-3,
         "effects.tip_load": {"force": [-1.1 * beck, 0.0, 0.0], "frame": "tip"},
     }
-    model = model_on(load_scene("three_tendon").replace(follower), 6)
+    scene = load_scene("three_tendon").replace(follower)
+    model = model_on(scene, 6)
     found = static_equilibrium(model, np.zeros(3))
     assert not found.converged
     assert "flutter" in found.reason

@@ -48,7 +48,8 @@ def test_the_clearance_is_that_of_the_nearest_place(build):
     normal = np.array([-np.sin(slope), 0.0, np.cos(slope)])
     below = [0.0, 0.0, -0.1]
     plane = {"type": "plane", "position": below, "axis": normal.tolist()}
-    model = build("three_tendon", {"effects.contact.obstacles": [plane]})
+    changes = {"effects.contact.obstacles": [plane]}
+    model = build("three_tendon", changes)
     contact = contact_forces(model, Simulation(model).state)
     distance = (contact.position - below) @ normal
     np.testing.assert_allclose(contact.gap[0], distance - RADIUS, atol=2e-3)
@@ -67,7 +68,8 @@ def test_forces_are_sums_over_samples_along_the_arm(lying):
     np.testing.assert_allclose(contact.position, positions, atol=1e-12)
     up = contact.sample_force[0, :, 2]
     assert (up > 0.0).all()
-    np.testing.assert_allclose(contact.force[0], [0.0, 0.0, up.sum()], atol=1e-12)
+    expected_force = [0.0, 0.0, up.sum()]
+    np.testing.assert_allclose(contact.force[0], expected_force, atol=1e-12)
     np.testing.assert_array_equal(contact.force[1], 0.0)
 
 

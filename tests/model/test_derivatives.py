@@ -236,14 +236,16 @@ def test_slopes_are_central_but_beside_jumps():
     )
     slopes = _slopes(np.vstack([middle, to_right, to_left]), step)
     expected = [2.0, 1.0, 3.0, 1.0, 2.0]
-    np.testing.assert_allclose(slopes, np.stack([expected, expected], axis=1))
+    expected_slopes = np.stack([expected, expected], axis=1)
+    np.testing.assert_allclose(slopes, expected_slopes)
 
 
 def test_memories_of_strain_have_derivatives_too():
     """Along random changes of coordinates, rates, what is remembered, and commands."""
     modes = [{"strains": ["bend_y", "bend_z"], "order": 0, "span": "rod"}]
     strain = {"type": "explicit", "modes": modes}
-    scene = load_scene("three_tendon").replace({"strain": strain, **MEMORY})
+    changes = {"strain": strain, **MEMORY}
+    scene = load_scene("three_tendon").replace(changes)
     model = model_on(scene, 2)
     simulation, command = in_motion(model)
     start = simulation.state

@@ -109,7 +109,8 @@ def test_packed_and_unpacked_are_inverse(name, lead):
     by_interval = grid.at_points(packed, 6)
     empty = by_interval[..., ~grid.real, :, :]
     last = strain[..., None, -1:, :]
-    np.testing.assert_array_equal(empty, np.broadcast_to(last, empty.shape))
+    expected_empty = np.broadcast_to(last, empty.shape)
+    np.testing.assert_array_equal(empty, expected_empty)
 
 
 def scene_and_grid(name, **changes):
@@ -224,7 +225,8 @@ HELICES = {
 )
 def test_every_coordinate_is_counted(changes, count):
     """Fields of the highest order, and helices that a coarse quadrature sees as straight."""
-    assert coordinate_count(load_scene("three_tendon").replace(changes)) == count
+    scene = load_scene("three_tendon").replace(changes)
+    assert coordinate_count(scene) == count
 
 
 @pytest.mark.parametrize("intervals", [1, 2, 5, 7, 8, 13, 15])
@@ -315,7 +317,8 @@ def test_tendons_of_a_stress_free_arm_are_as_long_as_their_paths():
 def test_independent_tensions_span_those_that_strain_the_rod():
     """Orthonormal combinations, the same whatever the eigenvectors; all where all are
     independent."""
-    columns = np.random.default_rng(0).normal(size=(4, 9))
+    rng = np.random.default_rng(0)
+    columns = rng.normal(size=(4, 9))
     independent = independent_tensions(columns @ columns.T, 1e-3)
     np.testing.assert_array_equal(independent, np.eye(4))
     of_both = columns[0] + columns[1]
@@ -364,9 +367,11 @@ def test_columns_of_actuation_are_what_strains_shorten_tendons_by():
     for way in h * np.eye(6):
         longer = np.linalg.norm(chord(strain + way))
         shorter = np.linalg.norm(chord(strain - way))
-        slopes.append((longer - shorter) / (2.0 * h))
+        slope = (longer - shorter) / (2.0 * h)
+        slopes.append(slope)
     column = actuation_columns(geometry, strain[:3], strain[3:])
-    np.testing.assert_allclose(column, np.negative(slopes), atol=1e-8)
+    expected_column = np.negative(slopes)
+    np.testing.assert_allclose(column, expected_column, atol=1e-8)
     absent = geometry * [1.0, 1.0, 1.0, 1.0, 0.0]
     assert not actuation_columns(absent, strain[:3], strain[3:]).any()
 
@@ -387,7 +392,8 @@ def test_gravity_pulls_at_rod_payload_and_discs_alone(build):
     rod = bare.arm.rod
     np.testing.assert_allclose(rod.node_mass.sum(), rod.mass)
     discs = {"mass": 0.003, "radius": 0.015, "places": [0.15, 0.3]}
-    spaced = build("three_tendon", {**gravity, "segments.0.discs": discs})
+    changes = {**gravity, "segments.0.discs": discs}
+    spaced = build("three_tendon", changes)
     added = spaced.arm.rod.node_mass - rod.node_mass
     # there the intervals end, the last one and empty ones at the tip
     by_place = np.unique(np.round(added, 12))
@@ -400,7 +406,8 @@ def test_paths_along_a_bent_rod_are_shorter_inside_and_turn_with_it():
     length of the rod from the first point to the last."""
     curvature = 5.0
     scene = load_scene("three_tendon")
-    bent = scene.replace({"segments.0.curvature": [0.0, 0.0, curvature]})
+    changes = {"segments.0.curvature": [0.0, 0.0, curvature]}
+    bent = scene.replace(changes)
     grid = make_grid(bent, 5)
     rod = at_points(bent, grid).rod
     y = [tendon.routing.offset[0] for tendon in bent.tendons]
@@ -442,10 +449,12 @@ def test_an_incompressible_rod_damps_by_three_times_its_viscosity_over_its_modul
     young = 5e5  # [Pa]
     modes = [{"strains": ["bend_z"], "order": 0, "span": "rod"}]
     scene = load_scene("three_tendon").replace({"segments.0.damping": viscosity})
-    explicit = scene.replace({"strain": {"type": "explicit", "modes": modes}})
+    changes = {"strain": {"type": "explicit", "modes": modes}}
+    explicit = scene.replace(changes)
     damping = model_on(explicit, 3).terms([0.0], [0.0]).damping
     second_moment = np.pi * 0.01**4 / 4
-    assert damping.item() == pytest.approx(3.0 * viscosity * second_moment * 0.3)
+    expected_damping = 3.0 * viscosity * second_moment * 0.3
+    assert damping.item() == pytest.approx(expected_damping)
     still = np.zeros(3)
     terms = model_on(scene, 3).terms(still, still)
     retardation = 3.0 * viscosity / young
@@ -471,4 +480,5 @@ def test_a_border_is_on_the_side_of_the_piece_that_is_looked_at():
     same = over_nodes(grid, second_has_it)
     np.testing.assert_allclose(total, same, rtol=1e-12)
     share = 0.5 * newton_cotes(4)[0]
-    assert total[3, 0] == pytest.approx(share * 1.0 + share * 3.0)
+    expected_total = share * 1.0 + share * 3.0
+    assert total[3, 0] == pytest.approx(expected_total)

@@ -19,7 +19,8 @@ TILT = np.radians(37.8)
 
 @pytest.fixture(scope="module")
 def paper():
-    return build_model(load_scene("paper"))
+    scene = load_scene("paper")
+    return build_model(scene)
 
 
 def circle(angle):
@@ -38,7 +39,8 @@ def circle(angle):
 @pytest.mark.parametrize("angle", [0.0, 2.0])
 def test_the_circle_needs_pushes(paper, angle):
     pose = circle(angle)
-    pushing = paper.scene.replace({"tendons.*.tension_limits": [-20.0, 20.0]})
+    changes = {"tendons.*.tension_limits": [-20.0, 20.0]}
+    pushing = paper.scene.replace(changes)
     either = tension_for_tip_pose(paper.with_scene(pushing), pose)
     assert either.reachable
     assert either.reason == ""
@@ -54,7 +56,8 @@ def test_the_circle_needs_pushes(paper, angle):
 
 @pytest.mark.parametrize("name", ["paper_16dof", "four_tendon", "helical", "catheter"])
 def test_round_trip(name):
-    model = build_model(load_scene(name))
+    scene = load_scene(name)
+    model = build_model(scene)
     tension_limits = [tendon.tension_limits for tendon in model.scene.tendons]
     least, greatest = np.array(tension_limits).T
     for u in np.random.default_rng(5).uniform(
@@ -143,7 +146,8 @@ def test_bad_input_is_refused(paper, pose, options, message):
 @pytest.mark.parametrize("changes", [{}, {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}])
 def test_derivatives_of_the_error_are_differences(angle_weight, changes):
     """Of the weighted rotation vector and displacement from the tip to the desired pose."""
-    model = build_model(load_scene("three_tendon").replace(changes))
+    scene = load_scene("three_tendon").replace(changes)
+    model = build_model(scene)
     search = _TipSearch(model, circle(0.7), angle_weight)
     u = np.array([2.0, 0.5, 1.0])
     h = 1e-5
@@ -170,7 +174,8 @@ def test_derivatives_of_the_error_are_differences(angle_weight, changes):
 
 def test_a_solution_says_how_far_its_tip_is_off():
     """A place 1e-4 of the length away counts as reached, and a radian as half a length."""
-    model = build_model(load_scene("three_tendon"))
+    scene = load_scene("three_tendon")
+    model = build_model(scene)
     u = np.array([2.0, 0.5, 1.0])
     tip = static_equilibrium(model, u).tip_pose
     for off, turn, reachable in ((0.9e-4, 0.0, True), (1.1e-4, 0.0, False), (0.0, 3e-4, False)):
@@ -193,7 +198,8 @@ def test_a_solution_says_how_far_its_tip_is_off():
 def test_errors_and_efforts_are_least_within_the_limits():
     """|e / L|^2 + mu^2 |u / unit|^2 has no slope along tensions between their limits, and falls
     beyond those at one."""
-    model = build_model(load_scene("three_tendon"))
+    scene = load_scene("three_tendon")
+    model = build_model(scene)
     pose = static_equilibrium(model, [2.0, 0.5, 1.0]).tip_pose
     search = _TipSearch(model, pose, 0.0)
     mu = 0.1

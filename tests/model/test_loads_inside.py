@@ -43,7 +43,8 @@ def test_equilibria_under_loads_agree_with_shooting(loaded, build, reference):
                 "effects.tip_load.moment": moment.tolist(),
                 "effects.tip_load.force": force.tolist(),
             }
-        found = static_equilibrium(build("paper", changes), case["tension"])
+        model = build("paper", changes)
+        found = static_equilibrium(model, case["tension"])
         assert found.converged
         assert found.stable
         assert found.residual < 1e-14
@@ -79,7 +80,8 @@ def test_tensions_that_buckle_a_loaded_arm_are_told(build):
     missed = lacking @ G @ lacking
     expected = np.sqrt(missed / energy)
     assert found.residual == pytest.approx(expected, rel=1e-6)
-    np.testing.assert_allclose(found.q, found.load * BENT, atol=1e-6)
+    expected_q = found.load * BENT
+    np.testing.assert_allclose(found.q, expected_q, atol=1e-6)
     passive = [{"strains": ["torsion", "bend_y", "bend_z"], "order": 5, "span": "rod"}]
     outside = static_equilibrium(
         build("three_tendon", {**HELD_STRAIGHT, "strain.passive": passive}), BENT
@@ -96,7 +98,8 @@ def test_tensions_that_buckle_a_loaded_arm_are_told(build):
 
 
 def test_a_motion_into_buckling_ends_with_its_cause(build):
-    simulation = ste.Simulation(build("three_tendon", {**INSIDE, **HELD_STRAIGHT}))
+    model = build("three_tendon", {**INSIDE, **HELD_STRAIGHT})
+    simulation = ste.Simulation(model)
     with pytest.raises(ste.SimulationDiverged, match="buckles under the loads inside"):
         simulation.step(2.0 * BENT, 20.0)
     assert np.isfinite(simulation.state.q).all()

@@ -72,7 +72,8 @@ def test_a_singular_mass_matrix_is_warned_of():
         "type": "explicit",
         "modes": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 1, "span": "rod"}],
     }
-    scene = load_scene("three_tendon").replace({"strain": strain, "quadrature.intervals": 1})
+    changes = {"strain": strain, "quadrature.intervals": 1}
+    scene = load_scene("three_tendon").replace(changes)
     with pytest.warns(
         UserWarning,
         match=(
@@ -97,7 +98,9 @@ def bent():
     modes = [{"strains": ["bend_y", "bend_z"], "order": 0, "span": "rod"}]
     strain = {"type": "explicit", "modes": modes}
     gravity = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
-    return model_on(load_scene("three_tendon").replace({"strain": strain, **gravity}), 4)
+    changes = {"strain": strain, **gravity}
+    scene = load_scene("three_tendon").replace(changes)
+    return model_on(scene, 4)
 
 
 def test_energies_are_those_of_a_bent_rod(bent):
@@ -177,7 +180,8 @@ def test_evaluations_begin_at_rest_and_at_time_zero_whatever_was_evaluated_befor
     with model.workspace() as work:
         work.inputs.state[:] = 1.0
         work.inputs.clock[:] = 0.1
-    np.testing.assert_array_equal(model.tip_pose(q), first.tip_pose)
+    tip_pose = model.tip_pose(q)
+    np.testing.assert_array_equal(tip_pose, first.tip_pose)
     again = model.terms(q, np.zeros(3))
     np.testing.assert_array_equal(again.tip_pose, first.tip_pose)
     np.testing.assert_array_equal(again.external_force, first.external_force)
@@ -219,7 +223,8 @@ def test_commands_of_elastic_tendons_are_their_stretch_and_what_the_arm_leaves_o
     way = model.tendon_lengths(np.zeros(3)) - model.tendon_lengths(q)
     assert way.max() > 1e-3
     command = model.command(tension, q)
-    np.testing.assert_allclose(command, tension / 800.0 + way, rtol=1e-12)
+    expected_command = tension / 800.0 + way
+    np.testing.assert_allclose(command, expected_command, rtol=1e-12)
     equilibrium, held = commanded_equilibrium(model, command)
     np.testing.assert_allclose(held, tension, rtol=1e-6)
     np.testing.assert_allclose(equilibrium.q, q, rtol=1e-5)
@@ -239,7 +244,8 @@ def test_the_elastic_force_of_fields_is_their_own_whatever_pulls(build):
     """q . K is twice the energy stored, also where tendons that pull soften the sheared arm."""
     modes = [{"strains": ["bend_z", "shear_y"], "order": 0, "span": "rod"}]
     strain = {"type": "explicit", "modes": modes}
-    model = build("three_tendon", {"quadrature.intervals": 2, "strain": strain})
+    changes = {"quadrature.intervals": 2, "strain": strain}
+    model = build("three_tendon", changes)
     q = np.array([1.0, 0.1])
     still = np.zeros(2)
     pulled = model.terms(q, still, [3.0, 0.0, 1.0])
@@ -278,7 +284,8 @@ def test_coordinates_and_rates_that_are_absurd_are_told(build):
     """No rod can be placed there, or no energy be computed."""
     modes = [{"strains": ["bend_y", "stretch"], "order": 0, "span": "rod"}]
     strain = {"type": "explicit", "modes": modes}
-    model = build("three_tendon", {"quadrature.intervals": 2, "strain": strain})
+    changes = {"quadrature.intervals": 2, "strain": strain}
+    model = build("three_tendon", changes)
     still = np.zeros(2)
     with pytest.raises(StrainLimitError, match="too large to place the rod, up to 1e\\+200"):
         model.terms([1e200, 0.0], still)

@@ -156,7 +156,8 @@ def test_the_estimate_is_the_largest_error_and_a_margin(scene, intervals):
 @pytest.mark.parametrize(("share", "is_told"), [(0.95, True), (1.05, False)])
 def test_an_error_above_the_tolerance_is_a_problem(share, is_told):
     error = QuadratureTest(helices(2)).error_estimate(8).error
-    allowed = helices(2).replace({"quadrature.tolerance": share * error})
+    changes = {"quadrature.tolerance": share * error}
+    allowed = helices(2).replace(changes)
     estimate = QuadratureTest(allowed).error_estimate(8)
     assert estimate.excess == pytest.approx(1.0 / share, rel=1e-9)
     assert bool(estimate.problem) == is_told
@@ -182,7 +183,8 @@ def test_the_mass_of_a_disc_is_not_missed():
 
 
 def test_too_few_intervals_are_told_with_tensions_error_and_what_would_do():
-    scene = helices(3).replace({"quadrature.intervals": 6, "tendons.1.tension_limits": [0.0, 8.0]})
+    changes = {"quadrature.intervals": 6, "tendons.1.tension_limits": [0.0, 8.0]}
+    scene = helices(3).replace(changes)
     with pytest.warns(QuadratureWarning) as caught:
         build_model(scene)
     enough = QuadratureTest(scene).search(6).intervals
@@ -246,7 +248,8 @@ def test_finer_quadratures_resolve_waves_and_fields():
     assert resolving_intervals(three_tendon()) == 3
     assert resolving_intervals(helices(3)) == pytest.approx(4 * 3, abs=1)
     assert resolving_intervals(helices(12)) == pytest.approx(4 * 12, abs=1)
-    one_fast = helices(3).replace({"tendons.1.routing": helices(12).tendons[1].routing})
+    changes = {"tendons.1.routing": helices(12).tendons[1].routing}
+    one_fast = helices(3).replace(changes)
     assert resolving_intervals(one_fast) == pytest.approx(4 * 12, abs=1)
     two_pieces = helices(12).replace({"tendons.*.end": 0.2})
     assert resolving_intervals(two_pieces) == pytest.approx(4 * 12 * 2 / 3, abs=1)
@@ -273,7 +276,8 @@ def test_the_least_inertia_is_that_of_the_worst_combination():
 
 def test_the_displacement_is_that_of_the_tips_under_the_worst_tension():
     """Of all that are tried, as a share of the length."""
-    scene = helices(3).replace({"tendons.1.tension_limits": [0.0, 8.0]})
+    changes = {"tendons.1.tension_limits": [0.0, 8.0]}
+    scene = helices(3).replace(changes)
     test = QuadratureTest(scene)
     coarse = test.model(5)
     fine = test.model(24)
@@ -285,7 +289,8 @@ def test_the_displacement_is_that_of_the_tips_under_the_worst_tension():
             q = model.rest_coordinates(tension)
             tips.append(model.tip_pose(q)[:3, 3])
         way = tips[1] - tips[0]
-        shares.append(np.linalg.norm(way) / 0.3)
+        share = np.linalg.norm(way) / 0.3
+        shares.append(share)
     assert worst.share == pytest.approx(max(shares), rel=1e-9)
     place = int(np.argmax(shares))
     np.testing.assert_array_equal(worst.tension, test.tensions[place])
@@ -310,7 +315,8 @@ def test_an_arm_that_falls_over_is_compared_where_it_is_bent_by_three_radians():
     way = fine.tip_pose(q) - coarse.tip_pose(q)
     displacement = np.linalg.norm(way[:3, 3])
     assert displacement > 0.0
-    assert share == pytest.approx(2.0 * displacement / length)
+    expected_share = 2.0 * displacement / length
+    assert share == pytest.approx(expected_share)
 
 
 @pytest.mark.parametrize(("share", "is_refused"), [(0.99, False), (1.01, True)])

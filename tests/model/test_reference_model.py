@@ -41,7 +41,8 @@ def test_the_order_falls_where_there_are_more_parts_and_pieces():
 
 def test_every_level_keeps_an_order_of_its_own():
     """However many parts there are: with 33 of them, in two pieces, the first would have none."""
-    turning = TWO_PIECES.replace({"segments.0.curvature": [0.0, 0.0, 64.0 * np.pi / 0.3]})
+    changes = {"segments.0.curvature": [0.0, 0.0, 64.0 * np.pi / 0.3]}
+    turning = TWO_PIECES.replace(changes)
     assert len(part_borders(turning)) + 2 == 33
     strains = len(ARM.strain.free)
     assert LEVELS[0].order == 6
@@ -54,7 +55,8 @@ def test_intervals_resolve_the_polynomials():
     assert whole.grid.per_piece == INTERVALS * LEVELS[0].order
     quarters = reference_model(ARM, LEVELS[5])
     assert quarters.grid.per_piece == 17  # 5 * 13 / 4
-    turning = ARM.replace({"segments.0.curvature": [0.0, 0.0, 32.0 * np.pi / 0.3]})
+    changes = {"segments.0.curvature": [0.0, 0.0, 32.0 * np.pi / 0.3]}
+    turning = ARM.replace(changes)
     many = reference_model(turning, LEVELS[0])
     assert many.grid.per_piece == 2 + SPARE_INTERVALS
 

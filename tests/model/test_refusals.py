@@ -32,7 +32,8 @@ WAYS = {
 @pytest.fixture
 def moving(build):
     """A simulation of the paper's arm in mid-run."""
-    simulation = ste.Simulation(build("paper"))
+    model = build("paper")
+    simulation = ste.Simulation(model)
     simulation.step(np.linspace(0.0, 9.0, 10), 0.05)
     return simulation
 
@@ -110,7 +111,8 @@ def test_bad_input_is_named_and_changes_nothing(moving, call, message):
 def test_a_strain_is_that_of_its_coordinates_up_to_round_off(moving, share, is_same):
     """As a share of the largest, also beside a strain that is none."""
     strain = moving.state.strain.copy()
-    assert np.abs(strain).min() < 1e-3 * np.abs(strain).max()
+    largest_strain = np.abs(strain).max()
+    assert np.abs(strain).min() < 1e-3 * largest_strain
     off = share * SAME_STRAIN * np.abs(strain).max()
     row = np.unravel_index(np.abs(strain).argmin(), strain.shape)
     strain[row] += off
@@ -139,7 +141,8 @@ def test_a_strain_is_that_of_its_coordinates_up_to_round_off(moving, share, is_s
 )
 def test_states_of_another_arm_are_refused(build, tmp_path, theirs, ours, message):
     """As many numbers of another meaning would be read as this arm's; from a file too."""
-    stranger = ste.Simulation(build("four_tendon", theirs))
+    model = build("four_tendon", theirs)
+    stranger = ste.Simulation(model)
     arm = ste.Simulation(build("four_tendon", ours))
     stranger.reset(np.full(stranger.model.coordinate_count, 0.1))
     before = numbers(arm)

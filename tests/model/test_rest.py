@@ -36,7 +36,8 @@ def column(share):
 def test_a_simulation_that_begins_at_rest_stays(build, weight, tension):
     """Under the weight alone, tensions alone or both; some tendons may be slack."""
     gravity = {"effects.gravity.acceleration": [0.0, 0.0, weight]}
-    simulation = Simulation(build("three_tendon", gravity))
+    model = build("three_tendon", gravity)
+    simulation = Simulation(model)
     start = simulation.reset_at_rest(tension, time=2.0)
     assert start.time == 2.0
     equilibrium = static_equilibrium(simulation.model, tension)

@@ -30,7 +30,8 @@ ARMS = {
 def moving(build, request):
     """A simulation in motion."""
     name, changes = ARMS[request.param]
-    simulation = Simulation(build(name, changes))
+    model = build(name, changes)
+    simulation = Simulation(model)
     simulation.step([1.0, 0.2, 0.0], 0.1)
     return simulation
 
@@ -116,13 +117,15 @@ def test_the_jacobians_are_near_those_of_the_simulation(moving):
     ],
 )
 def test_bad_arguments_are_refused_by_name(build, changes, message):
-    simulation = Simulation(build("three_tendon"))
+    model = build("three_tendon")
+    simulation = Simulation(model)
     with pytest.raises((TypeError, ValueError), match=message):
         simulation.rollout(**{"commands": np.zeros((2, 3)), "duration": PERIOD, **changes})
 
 
 def test_a_plan_that_no_motion_follows_is_an_error_with_the_last_good_state(build):
-    simulation = Simulation(build("three_tendon"))
+    model = build("three_tendon")
+    simulation = Simulation(model)
     with pytest.raises(SimulationDiverged) as raised:
         simulation.rollout([[0.0] * 3, [1e6] * 3], PERIOD)
     assert raised.value.state.time >= PERIOD
@@ -173,7 +176,8 @@ def test_forces_of_tendons_are_tensions(build):
 
 def test_parts_of_a_period_are_one_under_the_same_command(build):
     """A period of two halves, as of one."""
-    simulation = Simulation(build("three_tendon"))
+    model = build("three_tendon")
+    simulation = Simulation(model)
     simulation.step([1.0, 0.2, 0.0], 0.1)
     command = np.array([0.5, 0.3, 0.8])
     whole = simulation.rollout(command[None], PERIOD, steps=2)
@@ -186,7 +190,8 @@ def test_parts_of_a_period_are_one_under_the_same_command(build):
 
 
 def test_the_command_that_no_motion_follows_is_named(build):
-    simulation = Simulation(build("three_tendon"))
+    model = build("three_tendon")
+    simulation = Simulation(model)
     commands = [[1.0, 0.0, 0.0], [0.0, 1e6, 0.0], [0.0, 0.0, 2.0]]
     with pytest.raises(SimulationDiverged) as raised:
         simulation.rollout(commands, PERIOD)

@@ -85,7 +85,8 @@ def test_a_radian_counts_as_half_the_length(build, turn, reachable):
 def test_the_nearest_pose_is_that_of_the_least_weighted_error(build):
     """Of a place aside from those that three tendons reach with this orientation: no tensions
     nearby have less, a radian half a length."""
-    model = build("three_tendon", {"tendons.*.tension_limits": [-5.0, 5.0]})
+    changes = {"tendons.*.tension_limits": [-5.0, 5.0]}
+    model = build("three_tendon", changes)
     pose = static_equilibrium(model, U).tip_pose
     pose[:3, 3] += [0.0, 0.02, -0.01]
     found = tension_for_tip_pose(model, pose, start=U)

@@ -386,7 +386,8 @@ def test_numbers_of_sections_are_parameters():
         f"segments.0.{key}": None
         for key in ("young_modulus", "poisson_ratio", "density", "damping", "radius")
     }
-    mixed = load_scene("two_segment_six").replace({**without, "segments.0.section": STIFF})
+    changes = {**without, "segments.0.section": STIFF}
+    mixed = load_scene("two_segment_six").replace(changes)
     drawn = {
         key: value
         for one in Randomization(stiffness=0.5, damping=2.0).ranges(mixed)

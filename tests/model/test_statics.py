@@ -31,7 +31,8 @@ def model_of(name, **changes):
 def test_every_scene_balances_the_forces(name):
     model = model_of(name)
     greatest = np.array([tendon.tension_limits[1] for tendon in model.scene.tendons])
-    tensions = np.random.default_rng(0).uniform(0.0, 0.5 * greatest, (3, greatest.size))
+    rng = np.random.default_rng(0)
+    tensions = rng.uniform(0.0, 0.5 * greatest, (3, greatest.size))
     for u in tensions:
         found = static_equilibrium(model, u)
         terms = model.terms(found.q, np.zeros_like(found.q), u)
@@ -41,7 +42,8 @@ def test_every_scene_balances_the_forces(name):
         force = terms.actuation @ u - terms.elastic_force + terms.external_force
         largest = np.abs(terms.elastic_force).max()
         assert np.abs(force).max() < 1e-8 * largest
-        np.testing.assert_array_equal(found.tip_pose, model.tip_pose(found.q))
+        expected_tip_pose = model.tip_pose(found.q)
+        np.testing.assert_array_equal(found.tip_pose, expected_tip_pose)
 
 
 def test_pushes_past_the_stiffness_of_an_explicit_strain_end_the_path():
@@ -87,7 +89,8 @@ HELICES = [
 def test_what_redundant_tendons_leave_out_is_told():
     """Four helices: one of four combinations of tensions strains the bent arm alone. With all of
     them the rod rests as full physics."""
-    helices = load_scene("four_tendon").replace({"tendons": HELICES, "quadrature.intervals": 32})
+    changes = {"tendons": HELICES, "quadrature.intervals": 32}
+    helices = load_scene("four_tendon").replace(changes)
     modes = [
         {
             "strains": ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"],
@@ -124,7 +127,8 @@ def test_redundant_tendons_are_warned_of_where_the_tip_is_off(recwarn, tension, 
     none of them."""
     strains = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
     modes = [{"strains": strains, "order": 8, "span": "rod"}]
-    helices = load_scene("four_tendon").replace({"tendons": [*HELICES, STRAIGHT]})
+    changes = {"tendons": [*HELICES, STRAIGHT]}
+    helices = load_scene("four_tendon").replace(changes)
     model = model_on(helices, 32)
     explicit = helices.replace({"strain": {"type": "explicit", "modes": modes}})
     u = [tension, 0.0, 0.0, 0.0, 1.0]
@@ -158,7 +162,8 @@ def test_neighbours_of_an_equilibrium_are_those_that_a_search_finds(name, change
     q, tip = near.at(neighbour)
     searched = static_equilibrium(model, neighbour)
     np.testing.assert_allclose(tip, searched.tip_pose, atol=1e-8)
-    np.testing.assert_allclose(model.tip_pose(q), tip, atol=1e-12)
+    tip_pose = model.tip_pose(q)
+    np.testing.assert_allclose(tip_pose, tip, atol=1e-12)
     small = 1e-4
     beside = static_equilibrium(model, (1.0 + small) * u, near.q)
     moved = beside.q - near.q
@@ -182,7 +187,8 @@ def test_elastic_tendons_pull_by_their_stretch_within_what_drives_hold(weight):
     pull = 800.0 * (command - shortening)
     assert pull[1] < 0.0
     assert 0.0 < pull[0] < 4.0 < pull[2]
-    np.testing.assert_allclose(tension, np.clip(pull, 0.0, 4.0), rtol=1e-7)
+    expected_tension = np.clip(pull, 0.0, 4.0)
+    np.testing.assert_allclose(tension, expected_tension, rtol=1e-7)
     assert static_equilibrium(model, tension, found.q).residual <= RESIDUAL
     # Newton's method needs a few tensions, each with a few linearisations of the balance
     assert found.iterations < 30

@@ -45,7 +45,8 @@ def test_steps_are_equal_and_at_most_as_long_as_the_scene_s(model_with, duration
     assert count * control.step == pytest.approx(duration, rel=1e-12)
     assert control.step <= 0.02 * (1 + 1e-9)
     assert (count - 1) * 0.02 < duration
-    assert control.smallest == pytest.approx(control.step / 8.0)
+    expected_smallest = control.step / 8.0
+    assert control.smallest == pytest.approx(expected_smallest)
 
 
 @pytest.mark.no_jit
@@ -70,7 +71,8 @@ def test_the_method_follows_tolerance_and_inertia(model_with):
     assert fixed == (4, 4, True, False, STEP_TOLERANCE)
     tight = step_method(model_with({"columns": 4, "tolerance": 2e-7}))
     assert tight[:4] == (4, 2, True, True)
-    assert tight.strain_tolerance == pytest.approx(STRAIN_SHARE * 2e-7 / LENGTH)
+    expected_strain_tolerance = STRAIN_SHARE * 2e-7 / LENGTH
+    assert tight.strain_tolerance == pytest.approx(expected_strain_tolerance)
     assert STEP_TOLERANCE < tight.strain_tolerance < LOOSEST_STRAIN
     loose = step_method(model_with({"columns": 4, "tolerance": 1e-3}))
     assert loose.strain_tolerance == LOOSEST_STRAIN
@@ -85,7 +87,8 @@ def test_the_method_follows_tolerance_and_inertia(model_with):
 def test_the_linear_rate_resolves_the_slowest_vibration(build):
     """omega / RESOLVED, with omega^2 = K / M of an arm with one constant curvature."""
     modes = [{"strains": ["bend_z"], "order": 0, "span": "rod"}]
-    model = build("three_tendon", {**COARSE, "strain": {"type": "explicit", "modes": modes}})
+    changes = {**COARSE, "strain": {"type": "explicit", "modes": modes}}
+    model = build("three_tendon", changes)
     terms = model.terms([0.0], [0.0])
     omega = np.sqrt(terms.stiffness / terms.mass).item()
     assert linear_rate(model) == pytest.approx(omega / RESOLVED)
@@ -114,8 +117,10 @@ def test_commands_are_held_over_steps(model_with):
     model = model_with()
     values = [1.0, 2.0, 3.0]
     constant = table_of(model, values)
-    np.testing.assert_array_equal(constant, np.broadcast_to(values, (4, 3, 3)))
-    rows = np.random.default_rng(0).uniform(size=(4, 3))
+    expected_constant = np.broadcast_to(values, (4, 3, 3))
+    np.testing.assert_array_equal(constant, expected_constant)
+    rng = np.random.default_rng(0)
+    rows = rng.uniform(size=(4, 3))
     held = np.repeat(rows[:, None], 3, axis=1)
     np.testing.assert_array_equal(table_of(model, rows), held)
     table = table_of(model, lambda time: [time, 2.0 * time, 0.0])
@@ -166,7 +171,8 @@ def test_trajectories_have_a_sample_at_every_period_from_the_start_on(model_with
         state = simulation.state
         np.testing.assert_allclose(motion.q[sample], state.q, rtol=1e-12, atol=1e-15)
         np.testing.assert_allclose(motion.q_dot[sample], state.q_dot, rtol=1e-12, atol=1e-13)
-        np.testing.assert_allclose(motion.tip_pose[sample], model.tip_pose(state.q), atol=1e-12)
+        expected_tip_pose = model.tip_pose(state.q)
+        np.testing.assert_allclose(motion.tip_pose[sample], expected_tip_pose, atol=1e-12)
         for held in motion.command[min(sample, 2)]:
             single = simulation.step(held, 0.02)
             if sample < 3:

@@ -23,7 +23,8 @@ def test_chords_add_up_to_the_lengths_of_the_tendons(helical, random_state):
     chord_size, _ = _chords_and_give(helical.arm, grid, xi)
     # chords of the packs' empty intervals count nothing
     lengths = (chord_size * grid.weights).sum(axis=(1, 2))
-    np.testing.assert_allclose(lengths, helical.tendon_lengths(q), rtol=1e-9)
+    expected_lengths = helical.tendon_lengths(q)
+    np.testing.assert_allclose(lengths, expected_lengths, rtol=1e-9)
 
 
 def test_a_section_gives_way_by_its_compliance_at_the_tendon(helical):

@@ -86,7 +86,8 @@ def test_the_sampled_controller_stays_below_a_millimetre(scene):
         [np.full_like(angle, 0.95), 0.25 * np.cos(angle), 0.25 * np.sin(angle)], axis=1
     )
     error = np.linalg.norm(motion.tip - circle, axis=1)
-    assert error == pytest.approx(tip.tip_error(motion), abs=1e-12)
+    expected_error = tip.tip_error(motion)
+    assert error == pytest.approx(expected_error, abs=1e-12)
     assert error[0] > 0.2
     assert error[motion.time >= 1.0].max() < 1e-3
 

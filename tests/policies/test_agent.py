@@ -390,7 +390,8 @@ DRAWN_ARMS = {
 )
 def test_numbers_of_an_arm_outside_of_a_training_are_named(changes, own, loads):
     trained = Options(**SMALL | DRAWN_ARMS)
-    outside = numbers_outside(trained, load_scene("three_tendon").replace(changes))
+    scene = load_scene("three_tendon").replace(changes)
+    outside = numbers_outside(trained, scene)
     found = {str(number) for number in outside if not number.is_load}
     assert {*own} <= found
     assert bool(own) == bool(found)

@@ -33,26 +33,30 @@ def test_poses_are_those_of_position_and_two_columns():
     poses = _tip_poses(observed(ROTATIONS))
     np.testing.assert_allclose(poses[:, :3, :3], ROTATIONS, atol=1e-12)
     np.testing.assert_array_equal(poses[:, :3, 3], POSITIONS)
-    np.testing.assert_array_equal(poses[:, 3], [[0, 0, 0, 1]] * 2)
+    expected_poses = [[0, 0, 0, 1]] * 2
+    np.testing.assert_array_equal(poses[:, 3], expected_poses)
 
 
 def test_rounded_columns_are_made_orthonormal_again():
     """The first keeps its direction, the second turns in their plane."""
-    errors = np.random.default_rng(0).normal(0.0, 1e-3, (2, 3, 3))
+    rng = np.random.default_rng(0)
+    errors = rng.normal(0.0, 1e-3, (2, 3, 3))
     rounded = ROTATIONS + errors
     poses = _tip_poses(observed(rounded))
     for pose, (x, y, _) in zip(poses, rounded.swapaxes(1, 2), strict=True):
         R = pose[:3, :3]
         np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-12)
         assert np.linalg.det(R) == pytest.approx(1.0)
-        np.testing.assert_allclose(R[:, 0], x / np.linalg.norm(x), atol=1e-12)
+        expected_axis = x / np.linalg.norm(x)
+        np.testing.assert_allclose(R[:, 0], expected_axis, atol=1e-12)
         volume = np.cross(x, y) @ R[:, 1]
         assert volume == pytest.approx(0.0, abs=1e-12)
 
 
 def test_targets_are_poses_from_the_tip_on_now_and_ahead():
     poses = _tip_poses(observed(ROTATIONS))
-    errors = np.random.default_rng(1).uniform(-1.0, 1.0, (2, 3, 6))
+    rng = np.random.default_rng(1)
+    errors = rng.uniform(-1.0, 1.0, (2, 3, 6))
     values = {"target_error": errors[:, 0], "preview": errors[:, 1:].reshape(2, 12)}
     targets = _target_poses(values, poses)
     assert targets.shape == (2, 3, 4, 4)

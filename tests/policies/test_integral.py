@@ -56,7 +56,8 @@ def test_ways_are_seen_with_their_integral_now_and_ahead():
         np.testing.assert_allclose(
             seen["target_error"], np.tile((1.0 + share) * way, (2, 1)), rtol=1e-6
         )
-        np.testing.assert_allclose(seen["preview"], np.tile((2.0 + share) * way, (2, 2)), rtol=1e-6)
+        expected_preview = np.tile((2.0 + share) * way, (2, 2))
+        np.testing.assert_allclose(seen["preview"], expected_preview, rtol=1e-6)
         assert (seen["tip_position"] == 0.5).all()
         assert policy.last.dtype == np.float32
         assert state.policy == calls
@@ -92,7 +93,8 @@ def test_goals_move_with_the_integral_of_the_way_to_them():
     for calls in range(1, 4):
         _, state = integral.predict(given, state)
         moved = policy.last["desired_goal"] - goal
-        np.testing.assert_allclose(moved, np.tile(calls * share * way, (2, 1)), atol=1e-7)
+        expected_moved = np.tile(calls * share * way, (2, 1))
+        np.testing.assert_allclose(moved, expected_moved, atol=1e-7)
         np.testing.assert_array_equal(policy.last["achieved_goal"], tip)
     for _ in range(200):
         _, state = integral.predict(given, state)
@@ -115,7 +117,8 @@ def test_nothing_is_integrated_on_the_way_and_nothing_is_left_of_the_last_episod
     integral = IntegralPolicy(policy, envs, TIME)
     _, state = integral.predict(given, None)
     share = envs.unwrapped.episodes.period / TIME
-    np.testing.assert_allclose(state.integral, [[share * 0.4] * 6, [0.0] * 6], rtol=1e-6)
+    expected_integral = [[share * 0.4] * 6, [0.0] * 6]
+    np.testing.assert_allclose(state.integral, expected_integral, rtol=1e-6)
     begins = np.array([True, False])
     given[1, columns] = near
     _, state = integral.predict(given, state, begins)

@@ -74,7 +74,8 @@ def test_activations_are_their_formulas_in_single_precision(name):
 
 
 def draw(*shape):
-    return np.random.default_rng(sum(shape)).normal(size=shape).astype(np.float32)
+    rng = np.random.default_rng(sum(shape))
+    return rng.normal(size=shape).astype(np.float32)
 
 
 def test_layers_are_their_formulas():
@@ -107,7 +108,8 @@ def test_the_memory_is_a_minimal_gated_unit():
     gates = Gates(Linear(V, b), Linear(W, c))
     assert gates.size == 3
     seen_after, after = gates(SEEN, memory)
-    np.testing.assert_array_equal(seen_after, np.hstack([SEEN, after]))
+    expected_seen_after = np.hstack([SEEN, after])
+    np.testing.assert_array_equal(seen_after, expected_seen_after)
     for x, m, m_after in zip(SEEN, memory, after, strict=True):
         remembered = np.concatenate([x, m])
         f = sigmoid(V @ remembered + b)
@@ -268,7 +270,8 @@ def test_observations_are_one_or_many_and_dictionaries_in_the_order_of_their_key
     flat, many = flatten(rows, parts)
     assert many
     in_order = [rows[key] for key in parts.spaces]
-    np.testing.assert_array_equal(flat, np.concatenate(in_order, axis=1))
+    expected_flat = np.concatenate(in_order, axis=1)
+    np.testing.assert_array_equal(flat, expected_flat)
     one, many = flatten({key: value[0] for key, value in rows.items()}, parts)
     assert not many
     np.testing.assert_array_equal(one, flat[:1])
@@ -289,7 +292,8 @@ def test_actions_and_memory_of_many_rows_are_those_of_few(monkeypatch):
     assert network.memory == 0
     many, _ = network.predict(np.tile(SEEN, (100, 1)))
     few, _ = network.predict(SEEN)
-    np.testing.assert_allclose(many, np.tile(few, (100, 1)), rtol=1e-5)
+    expected_many = np.tile(few, (100, 1))
+    np.testing.assert_allclose(many, expected_many, rtol=1e-5)
 
 
 def test_normalised_observations_are_in_deviations_and_clipped(tmp_path):

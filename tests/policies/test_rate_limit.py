@@ -94,7 +94,8 @@ def test_rows_have_the_limit_too():
     for _ in range(5):
         envs.step(rng.uniform(-1.0, 1.0, envs.action_space.shape).astype(np.float32))
         after = envs.unwrapped.episodes.actuation.command.copy()
-        assert np.abs(after - before).max() <= RATE * 0.02 * (1.0 + ROUND_OFF)
+        difference = after - before
+        assert np.abs(difference).max() <= RATE * 0.02 * (1.0 + ROUND_OFF)
         before = after
 
 

@@ -39,7 +39,8 @@ def policy():
 
 @pytest.fixture(scope="module")
 def seen():
-    return np.random.default_rng(0).uniform(-1.0, 1.0, (4, 3, 6)).astype(np.float32)
+    rng = np.random.default_rng(0)
+    return rng.uniform(-1.0, 1.0, (4, 3, 6)).astype(np.float32)
 
 
 def played(policy, seen, starts):

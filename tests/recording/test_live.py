@@ -25,7 +25,8 @@ def sent(tmp_path, monkeypatch):
     files = []
 
     def save(recording, url):
-        files.append(tmp_path / f"{len(files)}.rrd")
+        file = tmp_path / f"{len(files)}.rrd"
+        files.append(file)
         recording.save(files[-1])
 
     monkeypatch.setattr(live, "is_open", lambda port: True)
@@ -57,7 +58,8 @@ def test_an_episode_is_streamed_as_it_happens(sent):
     for seed in (0, 1):
         _, info = env.reset(seed=seed)
         for step in range(6):
-            tensions.append(env.unwrapped.episodes.tension[0].copy())
+            tension = env.unwrapped.episodes.tension[0].copy()
+            tensions.append(tension)
             errors.append(info["position_error"])
             if step < 5:
                 *_, info = env.step(np.full(3, 0.1 * step, dtype=np.float32))

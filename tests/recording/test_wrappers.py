@@ -84,7 +84,8 @@ def test_every_episode_is_recorded_from_reset_to_end(file):
         assert rollout.title == f"episode {episode}, target random, seed {episode}"
         np.testing.assert_array_equal(rollout.tension, tension)
         np.testing.assert_array_equal(rollout.scalars["position_error"], error)
-        np.testing.assert_array_equal(rollout.action, [[np.nan] * 3] + [ACTION] * 5)
+        expected_action = [[np.nan] * 3] + [ACTION] * 5
+        np.testing.assert_array_equal(rollout.action, expected_action)
         assert np.isnan(rollout.scalars["reward"][0])
         assert (rollout.scalars["reward"][1:] > 0.0).all()
 
@@ -127,7 +128,8 @@ def test_rows_are_recorded_in_every_mode(mode, samples, file):
     assert [first[f"row_{row}"].title for row in range(2)] == [
         f"episode 0, target random, seed {7 + row}" for row in range(2)
     ]
-    np.testing.assert_array_equal(first["row_1"].action[1:], np.tile(-ACTION, (samples[0] - 1, 1)))
+    expected_action = np.tile(-ACTION, (samples[0] - 1, 1))
+    np.testing.assert_array_equal(first["row_1"].action[1:], expected_action)
 
 
 @pytest.fixture
@@ -136,7 +138,8 @@ def env():
 
 
 def actions(seed=0):
-    return iter(np.random.default_rng(seed).uniform(-1.0, 0.0, (100, 10)).astype(np.float32))
+    rng = np.random.default_rng(seed)
+    return iter(rng.uniform(-1.0, 0.0, (100, 10)).astype(np.float32))
 
 
 def test_an_episode_is_collected_as_it_happened(env):

@@ -81,7 +81,8 @@ def test_every_motion_begins_at_rest_and_the_log_has_its_commands(env, arm_of_te
     for name, commands in zip(names, motions, strict=True):
         rows = columns["hold"] == name
         assert (sent[rows][0] == 0.0).all()
-        assert sent[rows][1:] == pytest.approx(np.repeat(commands, 3, axis=0), abs=1e-6)
+        expected_sent = np.repeat(commands, 3, axis=0)
+        assert sent[rows][1:] == pytest.approx(expected_sent, abs=1e-6)
         assert np.diff(columns["time"][rows]) == pytest.approx(PERIOD)
     assert arm.is_slack
     assert arm.closed

@@ -42,7 +42,8 @@ def test_tensions_are_currents(bus, connect, wait_until):
     sent = robot.write(np.array([3.0, 0.2, 5.0]))
     measured = robot.read()
     assert [motor.goal_current for motor in bus.motors.values()] == [6, 0, -10]
-    np.testing.assert_allclose(sent, UNIT * np.array([6, 0, 10]))
+    expected_sent = UNIT * np.array([6, 0, 10])
+    np.testing.assert_allclose(sent, expected_sent)
     np.testing.assert_allclose(measured.tension, sent)
     np.testing.assert_allclose(measured.tendon_length, 0.0)
     assert robot.senses == ("tension", "tendon_length")

@@ -81,7 +81,8 @@ def test_lengths_and_strains_count_from_the_arm_at_rest(arm_of_test, drawing):
     rest = env.unwrapped.episodes.model.tendon_lengths(
         np.zeros(env.unwrapped.episodes.model.coordinate_count)
     )
-    np.testing.assert_allclose(env.zero["tendon_length"], rest - [0.1, 0.2, 0.3], atol=1e-9)
+    expected_tendon_length = rest - [0.1, 0.2, 0.3]
+    np.testing.assert_allclose(env.zero["tendon_length"], expected_tendon_length, atol=1e-9)
     env.close()
 
 
@@ -284,8 +285,10 @@ def test_the_first_command_is_reached_evenly_from_slack(arm_of_test, drawing):
     changes = np.diff(sent, axis=0)
     rising = changes[changes[:, 0] > 1e-12]
     assert len(rising) > 5
-    np.testing.assert_allclose(rising, rising[0] * np.ones((len(rising), 1)), atol=1e-12)
-    np.testing.assert_allclose(sent[0], slack + rising[0], atol=1e-12)
+    expected_rising = rising[0] * np.ones((len(rising), 1))
+    np.testing.assert_allclose(rising, expected_rising, atol=1e-12)
+    expected_sent = slack + rising[0]
+    np.testing.assert_allclose(sent[0], expected_sent, atol=1e-12)
     env.close()
 
 
@@ -298,5 +301,6 @@ def test_motion_is_told_from_noise():
     ):
         position = np.stack([motion, 0.0 * time, np.full_like(time, 7.0)], axis=1)
         assert speed_of(position, 0.01) == pytest.approx(expected, rel=0.01)
-        noisy = position + np.random.default_rng(1).normal(scale=1e-3, size=position.shape)
+        rng = np.random.default_rng(1)
+        noisy = position + rng.normal(scale=1e-3, size=position.shape)
         assert speed_of(noisy, 0.01) == pytest.approx(expected, rel=0.03)

@@ -48,7 +48,8 @@ def test_silence_lets_the_tendons_go_evenly(watched):
     assert watched.stopped.slack
     times = np.array([time for time, _ in watched.robot.sent[1:]])
     shares = np.array([command[1] for _, command in watched.robot.sent[1:]]) / PULL[1]
-    np.testing.assert_allclose(shares, 1.0 - np.arange(1, RAMP_STEPS + 1) / RAMP_STEPS, atol=1e-12)
+    expected_shares = 1.0 - np.arange(1, RAMP_STEPS + 1) / RAMP_STEPS
+    np.testing.assert_allclose(shares, expected_shares, atol=1e-12)
     assert times[-1] - times[0] <= 0.03
 
 

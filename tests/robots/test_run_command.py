@@ -192,7 +192,8 @@ def test_identification_reads_the_log_of_a_run(tmp_path, columns_of_log):
     }
     assert report.finished
     assert {*log.dtype.names} >= names
-    (motion,) = read_recordings([path], load_scene("three_tendon"), TIP)
+    scene = load_scene("three_tendon")
+    (motion,) = read_recordings([path], scene, TIP)
     assert motion.name == "first"
     assert motion.period == pytest.approx(0.02)
     assert (motion.command[1:, 0] == log["tension_0"]).all()

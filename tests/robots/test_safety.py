@@ -96,7 +96,8 @@ def test_every_end_lets_the_tendons_go(
     heights = np.array([command.max() for _, command in arm.sent[-6:]])
     assert (np.diff(heights) < 0.0).all()  # a ramp, and no blow
     log = columns_of_log(tmp_path / "run.csv")
-    np.testing.assert_allclose(log["time"], 0.02 * np.arange(sent), atol=1e-9)
+    expected_time = 0.02 * np.arange(sent)
+    np.testing.assert_allclose(log["time"], expected_time, atol=1e-9)
     assert (log["tension_0"] == log["commanded_0"]).all()
     assert (log["tension_0"] > 1.0).all()
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL

@@ -81,7 +81,8 @@ def test_stiffness_of_a_strain_of_ones_own_is_the_energy_of_its_fields(example):
     """Cosines are orthogonal over the rod: E I L of the constant, half as much of the others."""
     example("own_strain")
     strain = {"type": "cosines", "order": 3}
-    scene = load_scene("three_tendon").replace({"strain": strain, "quadrature.intervals": 24})
+    changes = {"strain": strain, "quadrature.intervals": 24}
+    scene = load_scene("three_tendon").replace(changes)
     model = build_model(scene)
     bending = 5e5 * np.pi * 0.01**4 / 4
     shares = np.array([1.0, 0.5, 0.5, 0.5])
@@ -93,7 +94,8 @@ def test_stiffness_of_a_strain_of_ones_own_is_the_energy_of_its_fields(example):
 def test_fields_of_another_shape_are_refused(example, monkeypatch):
     cosines = example("own_strain")["Cosines"]
     monkeypatch.setattr(cosines, "fields", lambda self, points, borders: np.zeros((2, 3, 6)))
-    scene = load_scene("three_tendon").replace({"strain": {"type": "cosines", "order": 0}})
+    changes = {"strain": {"type": "cosines", "order": 0}}
+    scene = load_scene("three_tendon").replace(changes)
     with pytest.raises(
         ConfigurationError, match=r"strain has fields of shape \(2, 3, 6\): they sh"
     ):

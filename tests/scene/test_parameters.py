@@ -17,7 +17,8 @@ def scene():
 
 
 def test_wildcards_of_changes_stand_for_every_entry(scene):
-    changed = scene.replace({"segments.*.density": 1.0, "tendons[*].tension_limits": [0.0, 7.0]})
+    changes = {"segments.*.density": 1.0, "tendons[*].tension_limits": [0.0, 7.0]}
+    changed = scene.replace(changes)
     assert [segment.density for segment in changed.segments] == [1.0, 1.0]
     assert {tendon.tension_limits for tendon in changed.tendons} == {(0.0, 7.0)}
     with pytest.raises(

@@ -156,7 +156,8 @@ def test_the_arm_itself_and_scenes_that_ship_get_none():
     assert words_of({**silicone_arm(), **with_stiffness()}) == ""
     assert words_of({**silicone_arm(), "segments": [{**SOLID, "discs": DISCS}]}) == ""
     for name in scene_names():
-        assert not [*implausible(load_scene(name))]
+        scene = load_scene(name)
+        assert not [*implausible(scene)]
 
 
 @pytest.mark.parametrize("size", [0.05, 1.0, 20.0])
@@ -187,7 +188,8 @@ def test_scales_are_those_of_a_cantilever():
     assert scales.bending == pytest.approx(BENDING)
     assert scales.rate == pytest.approx(rate, rel=1e-3)
     # viscosity 3 eta I beside E I: a retardation time, and half of it times omega
-    assert scales.damping_ratio == pytest.approx(0.5 * rate * 3.0 * 3e3 / MODULUS, rel=1e-3)
+    expected_damping_ratio = 0.5 * rate * 3.0 * 3e3 / MODULUS
+    assert scales.damping_ratio == pytest.approx(expected_damping_ratio, rel=1e-3)
     assert scales.modulus == pytest.approx(MODULUS)
     assert scales.pull == 6.0
     assert (scales.length, scales.radius) == (LENGTH, RADIUS)

@@ -75,7 +75,8 @@ def test_a_tendon_on_the_surface_of_a_flat_section_lies_on_its_outline(shape, an
     np.testing.assert_allclose(np.arctan2(*offset.T[::-1]), np.deg2rad(angle), atol=1e-12)
     ahead, _ = offset_and_slope(x + h)
     behind, _ = offset_and_slope(x - h)
-    np.testing.assert_allclose(slope, (ahead - behind) / (2 * h), atol=1e-8)
+    expected_slope = (ahead - behind) / (2 * h)
+    np.testing.assert_allclose(slope, expected_slope, atol=1e-8)
 
 
 @pytest.mark.parametrize("profile", [LinearTaper(base=0.03, tip=0.02), RADII])

@@ -68,7 +68,8 @@ def test_torsion_of_rectangles_is_tabled(ratio, factor):
     sizes = np.array([[short], [long]])
     section = Rectangle(**FLAT)
     *_, J = section.integrals(sizes)
-    assert J[0] == pytest.approx(factor * long * short**3, rel=2e-3)
+    expected_j = factor * long * short**3
+    assert J[0] == pytest.approx(expected_j, rel=2e-3)
 
 
 @pytest.mark.parametrize("width", [WIDTH, HEIGHT])
@@ -78,7 +79,8 @@ def test_torsion_of_an_ellipse_is_saint_venant_s(width):
     sizes = np.array([[width], [HEIGHT]])
     _, Iy, Iz, J = section.integrals(sizes)
     polar = Iy + Iz
-    np.testing.assert_allclose(J, 4.0 * Iy * Iz / polar)
+    expected_j = 4.0 * Iy * Iz / polar
+    np.testing.assert_allclose(J, expected_j)
 
 
 def test_the_hull_of_an_ellipse_has_its_perimeter_and_area():

@@ -76,7 +76,8 @@ def test_policy_networks_act_on_a_few_rows_with_one_thread(rows, threads):
     network = PolicyNetwork(Actor(), box, box)
     observations = np.tile(np.array([0.5, 2.0, -3.0], np.float32), (rows, 1))
     actions, _ = network.predict(observations)
-    np.testing.assert_array_equal(actions, np.clip(observations, -1.0, 1.0))
+    expected_actions = np.clip(observations, -1.0, 1.0)
+    np.testing.assert_array_equal(actions, expected_actions)
     assert seen == [{threads}]
     assert counts() == {2}
 

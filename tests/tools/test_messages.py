@@ -21,6 +21,7 @@ def test_lines_name_what_they_are_about_within_a_context(capsys):
 
 def test_what_is_compiled_for_a_model_is_said_with_scene_and_time(monkeypatch, capsys):
     monkeypatch.setattr(build, "_check_coordinates", lambda model: say_once("compiling"))
-    ste.build_model(ste.load_scene("three_tendon"), "scene")
+    scene = ste.load_scene("three_tendon")
+    ste.build_model(scene, "scene")
     said = capsys.readouterr().err
     assert said.endswith(f"scene 'three_tendon', {build.FIRST_USE}: compiling\n")

@@ -91,9 +91,11 @@ def test_sums_and_extremes_agree_with_numpy(seed):
     x = random.normal(size=LANES)
     sums, out = reduce_pack(x)
     round_off = 4e-16 * np.abs(x).sum()
-    np.testing.assert_allclose(sums, np.cumsum(x), rtol=0, atol=round_off)
+    expected_sums = np.cumsum(x)
+    np.testing.assert_allclose(sums, expected_sums, rtol=0, atol=round_off)
     np.testing.assert_allclose(out[0], x.sum(), rtol=0, atol=round_off)
-    np.testing.assert_array_equal(out[1:], [x.max(), x.min(), *x])
+    expected_out = [x.max(), x.min(), *x]
+    np.testing.assert_array_equal(out[1:], expected_out)
 
 
 @pytest.mark.parametrize("where", range(LANES))

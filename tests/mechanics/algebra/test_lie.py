@@ -220,7 +220,8 @@ def skew(x):
 
 @pytest.fixture(params=range(2))
 def two_twists(request):
-    return np.random.default_rng(request.param).normal(size=(2, 6))
+    rng = np.random.default_rng(request.param)
+    return rng.normal(size=(2, 6))
 
 
 def test_ad_and_coad_are_the_matrices_of_appendix_A(two_twists):

@@ -67,7 +67,8 @@ def test_products_sums_and_copies_are_those_of_numpy(rng, n):
     start = rng.normal(size=(n, 2))
     added = start.copy()
     add_product(matrix, right, added)
-    np.testing.assert_allclose(added, start + matrix @ right, atol=1e-14)
+    expected_added = start + matrix @ right
+    np.testing.assert_allclose(added, expected_added, atol=1e-14)
 
 
 @pytest.mark.parametrize("n", SIZES)
@@ -131,7 +132,8 @@ def test_small_and_negative_pivots_are_exchanged(rng, n, pivot):
     right = rng.normal(size=(n, 2))
     is_solved, x = solve_by_columns(matrix, right)
     assert is_solved
-    np.testing.assert_allclose(x, np.linalg.solve(matrix, right), rtol=1e-9, atol=1e-9)
+    expected = np.linalg.solve(matrix, right)
+    np.testing.assert_allclose(x, expected, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("value", [0.0, np.inf, np.nan])

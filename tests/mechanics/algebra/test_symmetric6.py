@@ -38,7 +38,8 @@ def entries_of(matrix):
 
 def section(seed, block):
     """A positive definite matrix (6, 6), the identity beyond a block."""
-    root = np.random.default_rng(seed).normal(size=(block, block))
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(block, block))
     matrix = np.eye(6)
     matrix[:block, :block] += root @ root.T
     return matrix
@@ -47,7 +48,8 @@ def section(seed, block):
 @pytest.mark.parametrize("block", [3, 4, 6])
 def test_solutions_are_those_of_numpy(block):
     matrix = section(0, block)
-    right = np.random.default_rng(1).normal(size=6)
+    rng = np.random.default_rng(1)
+    right = rng.normal(size=6)
     free = tuple(range(block))
     factor = factorise(entries_of(matrix), free)
     assert is_positive(factor)
@@ -66,7 +68,8 @@ def test_a_matrix_that_is_not_positive_definite_is_told(place, entry):
 def test_products_and_scales_are_those_of_the_matrix():
     matrix = section(2, 6)
     entries = entries_of(matrix)
-    x, c = np.random.default_rng(3).normal(size=(2, 6))
+    rng = np.random.default_rng(3)
+    x, c = rng.normal(size=(2, 6))
     product = symmetric_product(entries, twist(x))
     np.testing.assert_allclose(np.ravel(product), matrix @ x, atol=1e-14)
     scaled = scale6(twist(c), twist(x))
@@ -97,5 +100,6 @@ def test_blocks_of_fields_are_loaded_and_stored():
     copy_blocks(twists, matrices, twists_out, matrices_out)
     for field, out in ((twists, twists_out), (matrices, matrices_out)):
         first, second = np.split(out, 2)
-        np.testing.assert_array_equal(first, np.split(field, 2)[1])
+        expected_first = np.split(field, 2)[1]
+        np.testing.assert_array_equal(first, expected_first)
         np.testing.assert_array_equal(second, 0.0)

@@ -29,7 +29,8 @@ HOPELESS = 1e-30  # [m]
 def model():
     modes = [{"strains": ["torsion", "bend_y", "bend_z"], "order": 0, "span": "rod"}]
     strain = {"strain": {"type": "explicit", "modes": modes}}
-    return model_on(load_scene("three_tendon").replace(strain), 2)
+    scene = load_scene("three_tendon").replace(strain)
+    return model_on(scene, 2)
 
 
 class Run:
@@ -69,7 +70,8 @@ def test_equal_steps_fill_the_time(model):
     assert run.progress.rejected == 0
     np.testing.assert_allclose(run.lengths, H)
     assert run.lengths.size == 5
-    assert run.motion.clock[0] == pytest.approx(3.0 + 5.0 * H)
+    expected_clock = 3.0 + 5.0 * H
+    assert run.motion.clock[0] == pytest.approx(expected_clock)
     assert run.progress.error > 0.0
     # 1 + 1 evaluations of two columns in every step
     assert run.progress.evaluations == 10
@@ -89,7 +91,8 @@ def test_steps_that_are_refused_are_halved_to_the_smallest(model):
         assert run.progress.row == 0
         assert run.progress.rejected == len(lengths)
         assert run.progress.steps == 0
-        assert run.progress.step == pytest.approx(0.5 * lengths[-1] * H, rel=0.7)
+        expected_step = 0.5 * lengths[-1] * H
+        assert run.progress.step == pytest.approx(expected_step, rel=0.7)
         assert run.progress.step < H / 8.0
         np.testing.assert_array_equal(run.motion.q, 0.0)
         assert run.motion.clock[0] == 3.0
@@ -125,7 +128,8 @@ def test_steps_that_follow_a_tolerance_err_less(model, tolerance):
         pose = np.eye(4)
         end.scratch.work.kinematics.base[:] = 9.0
         tip_pose(model.arm, end.motion, end.scratch.work, pose)
-        np.testing.assert_allclose(pose, model.tip_pose(end.motion.q), atol=1e-9)
+        expected_pose = model.tip_pose(end.motion.q)
+        np.testing.assert_allclose(pose, expected_pose, atol=1e-9)
         tips.append(pose[:3, 3])
     off = np.linalg.norm(tips[0] - tips[1])
     # the tip moves two to three times as far as the rod on the average

@@ -24,14 +24,17 @@ def arms_of(model, rows=1, period=0.02, threads=1):
 
 def assert_reads(reading, row, model, q, q_dot, atol=1e-12):
     terms = model.terms(q, q_dot)
-    np.testing.assert_allclose(reading.tip_pose[row], model.tip_pose(q), atol=atol)
+    tip_pose = model.tip_pose(q)
+    np.testing.assert_allclose(reading.tip_pose[row], tip_pose, atol=atol)
     np.testing.assert_allclose(
         reading.tip_twist[row],
         terms.tip_jacobian @ q_dot,
         atol=10 * atol * max(1.0, np.abs(q_dot).max()),
     )
-    np.testing.assert_allclose(reading.tendon_length[row], model.tendon_lengths(q), atol=atol)
-    np.testing.assert_allclose(reading.backbone[row], model.backbone_at(q, STATIONS), atol=atol)
+    expected_tendon_length = model.tendon_lengths(q)
+    np.testing.assert_allclose(reading.tendon_length[row], expected_tendon_length, atol=atol)
+    expected_backbone = model.backbone_at(q, STATIONS)
+    np.testing.assert_allclose(reading.backbone[row], expected_backbone, atol=atol)
 
 
 def test_a_failed_step_keeps_the_last_good_motion(build):

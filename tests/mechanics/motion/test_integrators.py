@@ -21,7 +21,8 @@ BENDING_ONLY = {
 def end(build, scene, changes, tensions, columns, step):
     changes = {**changes, "integrator.columns": columns, "integrator.step": step}
     duration = HOLD * len(tensions)
-    motion = ste.simulate(build(scene, changes), tensions, duration, HOLD)
+    model = build(scene, changes)
+    motion = ste.simulate(model, tensions, duration, HOLD)
     return np.concatenate([motion.final.q, motion.final.q_dot])
 
 
@@ -88,6 +89,7 @@ def test_motion_without_inertia_is_the_flow_of_damping_and_stiffness(build):
         }
         simulation = ste.Simulation(build("three_tendon", changes))
         simulation.step(tension, 0.04)
-        errors.append(np.abs(simulation.state.q - exact).max())
+        error = np.abs(simulation.state.q - exact).max()
+        errors.append(error)
     assert errors[0] < 0.1 * np.abs(exact - tension).max() + 1e-2
     assert errors[2] < errors[1] / 4.0 < errors[0] / 16.0

@@ -47,7 +47,8 @@ SPRINGS = {
 
 @pytest.fixture(scope="module")
 def elastic():
-    return model_on(load_scene("three_tendon").replace({**BENDING, **SPRINGS}), 2).arm
+    scene = load_scene("three_tendon").replace({**BENDING, **SPRINGS})
+    return model_on(scene, 2).arm
 
 
 def kink_of(arm, scratch, parts, tensions, number=0):
@@ -115,7 +116,8 @@ def motion_of(model, q, rates):
 )
 def test_steps_that_effects_limit_have_three_columns(limits, rows):
     """Whatever the tolerance; the motion goes on where one is accepted."""
-    model = model_on(load_scene("three_tendon").replace(BENDING), 2)
+    scene = load_scene("three_tendon").replace(BENDING)
+    model = model_on(scene, 2)
     q = np.array([1.0, 0.8, 0.3])
     motion = motion_of(model, q.copy(), np.array([2.0, -1.0, 0.5]))
     scratch = make_scratch(model.arm, 4)
@@ -131,7 +133,8 @@ def test_steps_that_effects_limit_have_three_columns(limits, rows):
 
 def test_effects_that_limit_nothing_allow_the_longest_step():
     """And the first step of a motion any."""
-    model = model_on(load_scene("three_tendon").replace(BENDING), 2)
+    scene = load_scene("three_tendon").replace(BENDING)
+    model = model_on(scene, 2)
     motion = motion_of(model, np.zeros(3), np.zeros(3))
     scratch = make_scratch(model.arm, 2)
     control = Control(H, 1.0, True, 1e-6)
@@ -159,7 +162,8 @@ def test_effects_that_limit_nothing_allow_the_longest_step():
 def test_predictions_bend_no_further_than_they_go_straight(share, is_bent):
     """t^2 / 2 of the bias, of a motion for a time t, where that is not more than its columns
     make."""
-    model = model_on(load_scene("three_tendon"), 2)
+    scene = load_scene("three_tendon")
+    model = model_on(scene, 2)
     q = np.array([1.0, 0.5, 0.2])
     q_dot = np.array([3.0, -1.0, 2.0])
     time = 0.5

@@ -46,7 +46,8 @@ PERIOD = 0.02
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_gradient_is_that_of_all_terms(build, scene):
-    model = build("three_tendon", {"quadrature.intervals": 4, **SCENES[scene]})
+    changes = {"quadrature.intervals": 4, **SCENES[scene]}
+    model = build("three_tendon", changes)
     rng = np.random.default_rng(0)
     unit = model.coordinate_scale()
     n = model.coordinate_count
@@ -104,7 +105,8 @@ def test_gradient_is_that_of_all_terms(build, scene):
 
 @pytest.mark.parametrize("scene", ["bare", "gravity and payload", "loads inside", "fluid"])
 def test_map_is_that_of_the_extrapolated_linearly_implicit_step(scene, build):
-    model = build("three_tendon", {"quadrature.intervals": 4, **SCENES[scene]})
+    changes = {"quadrature.intervals": 4, **SCENES[scene]}
+    model = build("three_tendon", changes)
     simulation = Simulation(model)
     rng = np.random.default_rng(0)
     for _ in range(5):

@@ -71,7 +71,8 @@ SPRINGS = {
 
 
 def arm_with(changes):
-    return model_on(load_scene("three_tendon").replace(changes), 2)
+    scene = load_scene("three_tendon").replace(changes)
+    return model_on(scene, 2)
 
 
 def motion_of(model, q=Q, rates=RATES):
@@ -247,7 +248,8 @@ def test_tendons_that_rub_fall_by_the_rates_of_a_step_s_end(changes, push):
     v = rates_after(matrices, force + friction)
     atol = 1e-5 * np.abs(v).max()
     np.testing.assert_allclose(scratch.v, v, rtol=1e-5, atol=atol)
-    np.testing.assert_allclose(scratch.q, Q + H * scratch.v, rtol=1e-12)
+    expected_q = Q + H * scratch.v
+    np.testing.assert_allclose(scratch.q, expected_q, rtol=1e-12)
 
 
 def test_elastic_tendons_that_rub_have_their_tensions_at_a_step_s_end():
@@ -288,7 +290,8 @@ def test_a_decay_is_the_exponential(most):
     exponents[:] = most, 1e-9, -0.3 * most, -most
     found = aligned_zeros(LANES)
     decays_of(exponents, most, found)
-    np.testing.assert_allclose(found, np.exp(-exponents), rtol=1e-12)
+    expected = np.exp(-exponents)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3, 4])
@@ -385,7 +388,8 @@ def test_the_error_is_the_root_mean_square_displacement_of_the_rod():
         mean_square_rate = error_v @ M @ error_v / mass
         moving = horizon * np.sqrt(mean_square_rate)
         assert status == OK
-        assert error == pytest.approx(max(moved, moving))
+        expected_error = max(moved, moving)
+        assert error == pytest.approx(expected_error)
     scratch.v[1] = np.nan
     assert error_estimate(model.arm.rod, H, scratch) == (NOT_FINITE, np.inf)
 
@@ -416,7 +420,8 @@ def test_columns_end_where_the_tolerance_is_met_or_out_of_reach():
 
 def test_strains_ahead_are_predicted_to_second_order_along_the_motion():
     """And to first order beside it, of tendons that wind."""
-    model = model_on(load_scene("paper"), 1)
+    scene = load_scene("paper")
+    model = model_on(scene, 1)
     q = np.linspace(1.0, 10.0, 10)
     q_dot = np.linspace(-3.0, 2.0, 10)
     beside = np.cos(np.arange(10.0))
@@ -480,7 +485,8 @@ def test_the_balance_at_rest_has_its_rate_and_its_slopes(part):
         load = terms.actuation @ TENSION + terms.external_force
         return part * load - terms.elastic_force
 
-    np.testing.assert_allclose(out.force, balance(Q, part), rtol=1e-9, atol=1e-12)
+    expected_force = balance(Q, part)
+    np.testing.assert_allclose(out.force, expected_force, rtol=1e-9, atol=1e-12)
     rate = balance(Q, 1.0) - balance(Q, 0.0)
     np.testing.assert_allclose(out.rate, rate, rtol=1e-9, atol=1e-12)
     stiffness = model.terms(Q, np.zeros(n)).stiffness

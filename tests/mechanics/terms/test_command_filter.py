@@ -68,7 +68,8 @@ def test_the_response_is_the_solution_of_the_lag(name, command, time):
     """In one step or in two."""
     path = PATHS[name]
     whole = lag_response(path, U, command, time)
-    assert whole == pytest.approx(exact(path, U, command, time), rel=1e-12)
+    expected_whole = exact(path, U, command, time)
+    assert whole == pytest.approx(expected_whole, rel=1e-12)
     half = lag_response(path, U, command, 0.4 * time)
     assert lag_response(path, half, command, 0.6 * time) == pytest.approx(whole, rel=1e-12)
 
@@ -89,7 +90,8 @@ def test_slopes_are_those_of_the_response_and_of_its_mean(name, command, time):
 
     ahead = lag_response(path, U + h, command, time)
     behind = lag_response(path, U - h, command, time)
-    assert left == pytest.approx((ahead - behind) / (2 * h), abs=1e-8)
+    expected_left = (ahead - behind) / (2 * h)
+    assert left == pytest.approx(expected_left, abs=1e-8)
     change = mean_from(U + h) - mean_from(U - h)
     slope = change / (2 * h * time)
     assert mean == pytest.approx(slope, abs=1e-6)
@@ -103,7 +105,8 @@ def test_steps_end_at_the_next_kink_of_a_tension():
     begin = np.array([0.0, 0.0])
     end = np.array([3.0, 5.0])
     far = settling_time(path, begin, end)
-    assert far == pytest.approx((3.0 - slow) / 20.0)
+    expected_far = (3.0 - slow) / 20.0
+    assert far == pytest.approx(expected_far)
     begin_near = np.array([0.0, 5.0])
     end_near = np.array([0.9, 5.0])
     lagging = settling_time(path, begin_near, end_near)
@@ -136,7 +139,8 @@ def delayed(build):
 def test_commands_act_a_delay_after_they_were_given(delayed):
     """And the next step ends where another one arrives: against a list of all of them."""
     effects, state, arrival = delayed
-    commands = np.random.default_rng(0).uniform(0.0, 5.0, (12, 3))
+    rng = np.random.default_rng(0)
+    commands = rng.uniform(0.0, 5.0, (12, 3))
     commands[5] = commands[4]  # what repeats the one before it ends no step
     commands[7] = commands[6]
     given = [(-math.inf, np.full(3, 9.0))]
@@ -195,7 +199,8 @@ def test_what_has_arrived_leaves_the_table_in_order(delayed):
 
 def test_a_lag_follows_what_has_arrived(build):
     actuators = {"time_constant": 0.05, "rate_limit": 20.0}
-    arm = build("three_tendon", {"quadrature.intervals": 2, "effects.actuators": actuators}).arm
+    changes = {"quadrature.intervals": 2, "effects.actuators": actuators}
+    arm = build("three_tendon", changes).arm
     state = arm.effects.state.copy()
     out = np.empty(3)
     rest_filter(arm.effects, np.array([1.0, 2.0, 3.0]), state)

@@ -114,7 +114,8 @@ def test_the_coordinates_chase_the_tensions(name, changes, build, random_state):
     independent tendons."""
     model = build(name, changes)
     q, q_dot = random_state(model, 10)
-    u = np.random.default_rng(0).uniform(0, 30, model.tendon_count)
+    rng = np.random.default_rng(0)
+    u = rng.uniform(0, 30, model.tendon_count)
     terms = model.terms(q, q_dot)
     passive = np.zeros(q.size - u.size)
     rest = np.concatenate([u, passive])

@@ -184,4 +184,5 @@ def test_products_of_four_rows_are_theirs(size):
     out = np.empty(LANES)
     for k in (0, 4):
         products_of(rows.ravel(), k, x, out)
-        np.testing.assert_allclose(out, rows[k : k + 4] @ x, rtol=1e-12)
+        expected_out = rows[k : k + 4] @ x
+        np.testing.assert_allclose(out, expected_out, rtol=1e-12)

@@ -65,7 +65,8 @@ def tendon_wrenches(scene, X, xi):
         moment = np.cross(d, t)
         wrench = -np.hstack([moment, t])
         is_there = (start < X) & (end > X)
-        columns.append(wrench * is_there[:, None])
+        column = wrench * is_there[:, None]
+        columns.append(column)
     return np.array(columns)
 
 
@@ -115,7 +116,8 @@ def test_columns_rates_and_bias_are_the_derivatives_of_the_strain(
     ids=["Kirchhoff", "inextensible", "bend_y"],
 )
 def test_rigid_strains_stay_exactly_zero(strains, build, random_state, workspace_at, at_points):
-    model = build("helical", {**COARSE, "strain.strains": list(strains)})
+    changes = {**COARSE, "strain.strains": list(strains)}
+    model = build("helical", changes)
     q, q_dot = random_state(model, 3)
     rigid = ~np.isin(STRAINS, strains)
     X, xi = model.strain(q)
@@ -196,7 +198,8 @@ def test_strains_near_the_limit_of_a_push_have_no_margin(build):
     ids=("a pull has one strain", "a push on its branch", "a push past the end of its branch"),
 )
 def test_a_strain_is_continuous_up_to_the_end_of_its_branch(start, end, continuous):
-    arm = build_model(load_scene("paper")).arm
+    scene = load_scene("paper")
+    arm = build_model(scene).arm
     first = np.eye(10)[0]
     work = make_workspace(arm)
     way = (start * first, end * first)

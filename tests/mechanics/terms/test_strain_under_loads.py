@@ -26,7 +26,8 @@ MOST = {
 
 def on_few_intervals(name, changes):
     """The model of a scene with changes, without a look at what the quadrature makes of it."""
-    return model_on(load_scene(name).replace(changes), changes["quadrature.intervals"])
+    scene = load_scene(name).replace(changes)
+    return model_on(scene, changes["quadrature.intervals"])
 
 
 INSIDE = {"quadrature.intervals": 2, "strain.include_loads": True}
@@ -134,7 +135,8 @@ def test_stiffness_is_symmetric_and_B_its_part_for_dead_forces(name, changes, ra
     assert model.arm.strain.has_potential
     scale = np.sqrt(np.diag(terms.stiffness))
     G = terms.stiffness / np.outer(scale, scale)
-    assert np.abs(G - G.T).max() < 1e-12
+    difference = G - G.T
+    assert np.abs(difference).max() < 1e-12
     assert np.linalg.eigvalsh(G)[0] > 0.0
     if model.arm.strain.is_tensions:
         np.testing.assert_allclose(
@@ -180,7 +182,8 @@ def test_a_column_holds_up_to_its_critical_load(load, critical, build):
     """Of Euler, pi^2 EI / 4 L^2, and under its own weight, 7.8373 EI / L^3 (Greenhill): beyond, it
     says that the arm buckles."""
     pull = -0.999 * critical
-    below = build("three_tendon", {**UPRIGHT, load: [pull, 0.0, 0.0]})
+    changes = {**UPRIGHT, load: [pull, 0.0, 0.0]}
+    below = build("three_tendon", changes)
     still = np.zeros(below.coordinate_count)
     G = below.terms(still, still).stiffness
     assert np.linalg.eigvalsh(G)[0] > 0.0

@@ -50,7 +50,8 @@ HELIX = {
 
 
 def arm_with(changes, intervals=5):
-    return model_on(load_scene("three_tendon").replace({**BENDING, **changes}), intervals)
+    scene = load_scene("three_tendon").replace({**BENDING, **changes})
+    return model_on(scene, intervals)
 
 
 def over_points(model, field):
@@ -76,7 +77,8 @@ def test_a_circle_turns_by_its_curvature_over_its_length(workspace_at):
     points = model.grid.points[model.grid.real].ravel()
     angles = np.cumsum(turns_of(model, work))
     turned = angles[: points.size]
-    np.testing.assert_allclose(turned, MU * curvature * points, rtol=1e-12)
+    expected_turned = MU * curvature * points
+    np.testing.assert_allclose(turned, expected_turned, rtol=1e-12)
 
 
 def test_a_helix_turns_by_its_curvature_over_its_length(workspace_at):

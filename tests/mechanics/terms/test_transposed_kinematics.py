@@ -33,7 +33,8 @@ PLACES = np.array([0.0, 0.013, 0.06, 0.15, 0.24, 0.2999, 0.3])
 def bent(workspace_at):
     """An arm of five intervals, in two packs, with all strains: its model, coordinates, rates and
     evaluation."""
-    model = model_on(load_scene("three_tendon").replace(ALL_STRAINS), 5)
+    scene = load_scene("three_tendon").replace(ALL_STRAINS)
+    model = model_on(scene, 5)
     rng = np.random.default_rng(0)
     unit = np.repeat([4.0, 4.0, 4.0, 0.1, 0.1, 0.1], 2)
     q, q_dot = unit * rng.normal(size=(2, 12))
@@ -64,7 +65,8 @@ def test_the_stress_of_wrenches_has_their_virtual_work(bent):
 def test_the_work_of_a_tip_wrench_is_that_of_its_jacobian(bent):
     model, q, q_dot, work = bent
     wrench = np.zeros_like(work.kinematics.eta)
-    of_tip = np.random.default_rng(2).normal(size=6)
+    rng = np.random.default_rng(2)
+    of_tip = rng.normal(size=6)
     wrench.reshape(-1, 6, LANES)[-1, :, -1] = of_tip
     stress = np.zeros_like(work.strain.xi)
     add_wrench_stress(model.arm.rod, wrench, work.strain.xi, work.kinematics, stress)
@@ -83,12 +85,14 @@ def test_stresses_of_tendons_and_rates_of_tendons_are_transposes(bent):
     tangent = work.strain.tangent
     add_tendon_stress(model.arm.rod, model.arm.tendons, force, tangent, stress)
     generalised_force = force_of(model, work, stress)
-    np.testing.assert_allclose(generalised_force, -B @ force, atol=1e-14)
+    expected_generalised_force = -B @ force
+    np.testing.assert_allclose(generalised_force, expected_generalised_force, atol=1e-14)
     size = 3 * work.strain.xi.size
     share = np.ones(size // 6)
     rates = np.empty(3)
     tendon_forces(model.arm.rod, model.arm.tendons, share, tangent, work.strain.xi_dot, rates)
-    np.testing.assert_allclose(rates, B.T @ q_dot, atol=1e-13)
+    expected_rates = B.T @ q_dot
+    np.testing.assert_allclose(rates, expected_rates, atol=1e-13)
     h = 1e-6
     ahead = model.tendon_lengths(q + h * q_dot)
     behind = model.tendon_lengths(q - h * q_dot)
