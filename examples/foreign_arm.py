@@ -135,9 +135,12 @@ def main():
     parser.add_argument("policy", help="filtered:predictive, or the folder of an agent")
     parser.add_argument("scene", help="of identification")
     parser.add_argument("--robot", default="foreign_mujoco:MujocoArm", help="MODULE:CLASS")
+    parser.add_argument("--import", dest="modules", nargs="*", default=[], help="of own effects")
     parser.add_argument("--seeds", type=int, default=5, help="targets")
     parser.add_argument("--seconds", type=float, default=10.0)
     chosen = parser.parse_args()
+    for module in chosen.modules:
+        importlib.import_module(module)
     module, _, name = chosen.robot.partition(":")
     foreign_class = getattr(importlib.import_module(module), name)
     arm = {"scene": chosen.scene, "fidelity": "fast", "randomize": {"noise": NOISE}}

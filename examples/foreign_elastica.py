@@ -1,20 +1,22 @@
 """The foreign arm in PyElastica: a Cosserat rod of elements, whose tendons are strings through
 guides, and whose damping acts on velocities.
 
+Such damping leaves a vibration of the rod's length at 18 Hz, which a silicone arm has not: friction
+of the tendons damps it.
+
 From this folder: soft-tendon collect three_tendon --robot foreign_elastica:ElasticaArm ...
 """
 
-import math
-
 import elastica
 import numpy as np
-from foreign_arm import ForeignArm
+from foreign_arm import DRAWING, ForeignArm
 from numba import njit
 from scipy.spatial.transform import Rotation
 
+import soft_tendon_env as ste
 from soft_tendon_env.scene.scene import rod_length
 
-WAVE_NUMBERS = (1.875, 4.694)  # of a clamped beam, times its length
+DAMPING = 20.0  # [1/s] of velocities, times the share of the drawing's viscosity that is drawn
 
 
 class Arm(elastica.BaseSystemCollection, elastica.Constraints, elastica.Forcing, elastica.Damping):
@@ -25,12 +27,14 @@ class ElasticaArm(ForeignArm):
     """A rod of elements, whose section keeps its volume, with damping of velocities."""
 
     ELEMENTS = 30
-    step = 1e-4  # [s]: half of what is stable
+    FRICTION = 1.0  # [N s/m] by which a tendon resists its motion
+    step = 1e-4  # [s]: at most a third of what is stable at rest under any tension
 
     def __init__(self, seed=0, real_time=False):
         super().__init__(seed, real_time)
         scene = self.scene
         material = scene.segments[0]
+        viscosity = material.damping / ste.load_scene(DRAWING).segments[0].damping
         # the clamp holds the first element's frame: its centre is the base
         length = rod_length(scene) / (self.ELEMENTS - 0.5)
         base = scene.base.pose
@@ -54,10 +58,12 @@ class ElasticaArm(ForeignArm):
         )
         gravity = np.array(scene.effects.gravity.acceleration)
         self._arm.add_forcing_to(self._rod).using(elastica.GravityForces, acc_gravity=gravity)
-        self._arm.add_forcing_to(self._rod).using(Pull, strings=self._strings)
+        self._arm.add_forcing_to(self._rod).using(
+            Pull, strings=self._strings, friction=self.FRICTION, step=self.step
+        )
         self._arm.dampen(self._rod).using(
             elastica.AnalyticalLinearDamper,
-            uniform_damping_constant=damping_constant(scene),
+            uniform_damping_constant=DAMPING * viscosity,
             time_step=self.step,
         )
         self._arm.finalize()
@@ -81,22 +87,7 @@ class ElasticaArm(ForeignArm):
         return pose
 
     def tendon_length(self):
-        paths = self._strings.paths(self._rod)
-        return np.linalg.norm(np.diff(paths, axis=1), axis=2).sum(axis=1)
-
-
-def damping_constant(scene):
-    """Damping constant [1/s], between those that damp the first and the second bending vibration
-    as the drawn viscosity would: their geometric mean."""
-    material = scene.segments[0]
-    length = rod_length(scene)
-    stiffness = material.young_modulus * material.radius**2 / 4.0
-    # frequencies of a clamped beam, by its wave numbers
-    first, second = (
-        (number / length) ** 2 * math.sqrt(stiffness / material.density) for number in WAVE_NUMBERS
-    )
-    # the viscosity of bending is three times that of shear
-    return 3.0 * material.damping * first * second / material.young_modulus
+        return lengths(self._strings.paths(self._rod))
 
 
 class Strings:
@@ -114,16 +105,24 @@ class Strings:
 
 
 class Pull(elastica.NoForces):
-    """The forcing by which strings pull at the guides."""
+    """The forcing by which strings pull at the guides, and resist their motion."""
 
-    def __init__(self, strings):
+    def __init__(self, strings, friction, step):
         super().__init__()
         self._strings = strings
+        self._per_step = friction / step
+        self._length = None  # a step ago
 
     def apply_forces(self, system, time=0.0):
+        points = self._strings.paths(system)
+        length = lengths(points)
+        if self._length is None:
+            self._length = length
+        tension = self._strings.tension + self._per_step * (length - self._length)
+        self._length = length
         pull(
-            self._strings.tension,
-            self._strings.paths(system),
+            np.maximum(tension, 0.0),  # a string does not push
+            points,
             system.position_collection,
             system.director_collection,
             system.external_forces,
@@ -146,6 +145,15 @@ def paths(anchors, offsets, position, directors):
                     centre = position[j, elements]
                 points[a, k, j] = centre + y * directors[0, j, e] + z * directors[1, j, e]
     return points
+
+
+@njit
+def lengths(points):
+    length = np.zeros(len(points))
+    for a in range(len(points)):
+        for k in range(1, points.shape[1]):
+            length[a] += np.linalg.norm(points[a, k] - points[a, k - 1])
+    return length
 
 
 @njit

@@ -11,6 +11,7 @@ os.environ.setdefault(
     "XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 )
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -34,39 +35,41 @@ class SoromoxArm(ForeignArm):
         super().__init__(seed, real_time)
         self._robot = gvs(self.scene, self.ORDER, self.FRICTION)
         self._state = jnp.zeros(self._robot.state_size)
-        self._advance = jax.jit(self._solve)
-        self._measure = jax.jit(self._pose_and_lengths)
-
-    def _solve(self, state, tension):
-        """The state `step` later, by a Rosenbrock method of second order that is L-stable.
-
-        It needs one derivative and no iteration, where Diffrax's implicit ones iterate.
-        """
-
-        def rates(state):
-            return self._robot.forward_dynamics(0.0, state, (tension,))
-
-        h = self.step
-        slope = jax.jacfwd(rates)(state)
-        factors = jax.scipy.linalg.lu_factor(jnp.eye(state.size) - GAMMA * h * slope)
-        first = jax.scipy.linalg.lu_solve(factors, rates(state))
-        second = jax.scipy.linalg.lu_solve(factors, rates(state + h * first) - 2.0 * first)
-        return state + h * (1.5 * first + 0.5 * second)
-
-    def _pose_and_lengths(self, state):
-        strains, _ = self._robot.split_state(state)[:2]
-        pose = self._robot.forward_kinematics_tips(strains)[-1]
-        return pose, self._robot.actuators[0].path_lengths(self._robot, strains)
 
     def advance(self, tension, steps):
         for _ in range(steps):
-            self._state = self._advance(self._state, jnp.array(tension))
+            self._state = next_state(self._robot, self._state, jnp.array(tension), self.step)
 
     def tip_pose(self):
-        return np.array(self._measure(self._state)[0])
+        return np.array(measured(self._robot, self._state)[0])
 
     def tendon_length(self):
-        return np.array(self._measure(self._state)[1])
+        return np.array(measured(self._robot, self._state)[1])
+
+
+@eqx.filter_jit
+def next_state(robot, state, tension, step):
+    """The state `step` [s] later, by a Rosenbrock method of second order that is L-stable.
+
+    It needs one derivative and no iteration, where Diffrax's implicit ones iterate.
+    """
+
+    def rates(state):
+        return robot.forward_dynamics(0.0, state, (tension,))
+
+    slope = jax.jacfwd(rates)(state)
+    factors = jax.scipy.linalg.lu_factor(jnp.eye(state.size) - GAMMA * step * slope)
+    first = jax.scipy.linalg.lu_solve(factors, rates(state))
+    second = jax.scipy.linalg.lu_solve(factors, rates(state + step * first) - 2.0 * first)
+    return state + step * (1.5 * first + 0.5 * second)
+
+
+@eqx.filter_jit
+def measured(robot, state):
+    """Tip's pose (4, 4) and lengths of the tendons [m]."""
+    strains = robot.split_state(state)[0]
+    lengths = robot.actuators[0].path_lengths(robot, strains)
+    return robot.forward_kinematics_tips(strains)[-1], lengths
 
 
 def gvs(scene, order, friction):
