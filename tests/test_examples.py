@@ -195,7 +195,7 @@ def test_the_task_and_the_target_of_the_examples_pass_gymnasiums_checks(forgotte
 FOREIGN = [
     # a chain bends at its joints alone
     ("mujoco", "foreign_mujoco", "MujocoArm", 0.003),
-    # a section that keeps its volume bends less where tendons compress it: by 12 % at 4 %
+    # a section that keeps its volume bends less where tendons compress it: 13 % less at 4 %
     ("elastica", "foreign_elastica", "ElasticaArm", 0.015),
     ("soromox", "foreign_soromox", "SoromoxArm", 0.004),
 ]
