@@ -1,23 +1,21 @@
-"""A robot that is another simulator: an arm in MuJoCo that nobody has identified yet, behind the
-robots' protocol.
+"""A robot that is another simulator: an arm that nobody has identified yet, behind the robots'
+protocol.
 
-From this folder: soft-tendon collect three_tendon --robot foreign_arm:MujocoArm ...
+foreign_mujoco.py, foreign_elastica.py and foreign_soromox.py have one in a simulator each. From
+this folder: soft-tendon collect three_tendon --robot foreign_mujoco:MujocoArm ...
 docs/tutorials/foreign_arm.md has all commands, and what comes of them. Its table:
-python foreign_arm.py filtered:predictive out/identified/scene.toml
+python foreign_arm.py filtered:predictive out/identified/scene.toml --robot foreign_mujoco:MujocoArm
 """
 
 import argparse
 import importlib
 from collections import deque
-from xml.etree import ElementTree
 
 import gymnasium as gym
-import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 import soft_tendon_env as ste
-from soft_tendon_env.export.mujoco_chain import mujoco_chain
 from soft_tendon_env.policies import load_policy, policy_options
 from soft_tendon_env.robots import Measurement, RobotEnv, SimulatedRobot, rehearse, run_policy
 from soft_tendon_env.robots.clock import Clock
@@ -54,7 +52,8 @@ def unknown_scene(random):
 class ForeignArm:
     """An arm of another simulator, measured with noise, whose commands come late.
 
-    It is simulated up to the present whenever somebody calls.
+    It is simulated up to the present whenever somebody calls. A simulator has its time `step` [s],
+    `advance` by a number of steps under tensions [N], `tip_pose` and `tendon_length` [m].
     """
 
     command_unit = "N"
@@ -106,40 +105,6 @@ class ForeignArm:
             self._time += steps * self.step
 
 
-class MujocoArm(ForeignArm):
-    """A chain of rigid links, with friction in its tendons that no tension adds to."""
-
-    LINKS = 16
-    FRICTION = 0.03  # [N] that a tendon resists its motion with
-
-    def __init__(self, seed=0, real_time=False):
-        super().__init__(seed, real_time)
-        root = mujoco_chain(self.scene, self.LINKS).getroot()
-        for tendon in root.iter("spatial"):
-            tendon.set("frictionloss", str(self.FRICTION))
-        text = ElementTree.tostring(root, encoding="unicode")
-        self._model = mujoco.MjModel.from_xml_string(text)
-        self._model.opt.disableflags = mujoco.mjtDisableBit.mjDSBL_CONTACT
-        self.step = self._model.opt.timestep
-        self._data = mujoco.MjData(self._model)
-        mujoco.mj_forward(self._model, self._data)
-
-    def advance(self, tension, steps):
-        self._data.ctrl[:] = tension
-        mujoco.mj_step(self._model, self._data, nstep=steps)
-        mujoco.mj_forward(self._model, self._data)
-
-    def tip_pose(self):
-        tip = self._data.site("tip")
-        pose = np.eye(4)
-        pose[:3, :3] = tip.xmat.reshape(3, 3)
-        pose[:3, 3] = tip.xpos
-        return pose
-
-    def tendon_length(self):
-        return self._data.ten_length.copy()
-
-
 def position_errors(policy_name, arm, make_robot, seeds, seconds):
     """Root mean square error of the tip [m] in each run, and how the tendons were let go.
 
@@ -169,10 +134,13 @@ def main():
     parser = argparse.ArgumentParser(description="A policy on the foreign and the identified arm.")
     parser.add_argument("policy", help="filtered:predictive, or the folder of an agent")
     parser.add_argument("scene", help="of identification")
-    parser.add_argument("--robot", default="foreign_arm:MujocoArm", help="MODULE:CLASS")
+    parser.add_argument("--robot", default="foreign_mujoco:MujocoArm", help="MODULE:CLASS")
+    parser.add_argument("--import", dest="modules", nargs="*", default=[], help="of own effects")
     parser.add_argument("--seeds", type=int, default=5, help="targets")
     parser.add_argument("--seconds", type=float, default=10.0)
     chosen = parser.parse_args()
+    for module in chosen.modules:
+        importlib.import_module(module)
     module, _, name = chosen.robot.partition(":")
     foreign_class = getattr(importlib.import_module(module), name)
     arm = {"scene": chosen.scene, "fidelity": "fast", "randomize": {"noise": NOISE}}
