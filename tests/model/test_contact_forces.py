@@ -73,6 +73,23 @@ def test_forces_are_sums_over_samples_along_the_arm(lying):
     np.testing.assert_array_equal(contact.force[1], 0.0)
 
 
+def test_an_arm_on_a_base_that_rises_leaves_the_floor(build):
+    """Its samples are where the base has carried them by the time of the state."""
+    velocity = [0.0, 0.0, RISE]
+    changes = {
+        "quadrature.intervals": 2,
+        "effects.contact.obstacles": [FLOOR],
+        "effects.moving_base.velocity": velocity,
+    }
+    model = build("three_tendon", changes)
+    state = Simulation(model).state
+    later = dataclasses.replace(state, time=2.0)
+    contact = contact_forces(model, later)
+    risen = RISE * later.time
+    np.testing.assert_allclose(contact.position[:, 2], risen, atol=1e-12)
+    np.testing.assert_allclose(contact.gap[0], risen - DEPTH, atol=1e-12)
+
+
 def test_arms_without_contact_have_no_forces_of_it(build):
     model = build("three_tendon", {"quadrature.intervals": 2})
     with pytest.raises(ValueError, match=r"no table effects\.contact"):
