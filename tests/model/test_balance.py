@@ -234,18 +234,9 @@ def test_a_column_settles_beyond_its_buckling_load_at_the_least_of_its_energy(sh
     assert abs(settled.q[0]) == pytest.approx(expected, rel=1e-5)
 
 
-def test_loads_that_flutter_leave_nowhere_to_settle():
+def test_loads_that_flutter_leave_nowhere_to_settle(fluttering):
     """A force that follows the tip has no potential, and no energy that is least."""
-    modes = [{"strains": ["bend_y", "bend_z"], "order": 2, "span": "rod"}]
-    beck = 20.05 * BENDING / LENGTH**2
-    follower = {
-        "strain": {"type": "explicit", "modes": modes},
-        "segments.*.damping": 1e-3,
-        "effects.tip_load": {"force": [-1.1 * beck, 0.0, 0.0], "frame": "tip"},
-    }
-    scene = load_scene("three_tendon").replace(follower)
-    model = model_on(scene, 6)
-    found = static_equilibrium(model, np.zeros(3))
+    found = static_equilibrium(fluttering, np.zeros(3))
     assert not found.converged
     assert "flutter" in found.reason
     # the rod's own rotary inertia and shear are small

@@ -92,17 +92,6 @@ YOUNG = 5e5  # [Pa]
 BENDING = YOUNG * np.pi * RADIUS**4 / 4
 
 
-@pytest.fixture
-def bent():
-    """The arm with three tendons, whose coordinates are two constant curvatures."""
-    modes = [{"strains": ["bend_y", "bend_z"], "order": 0, "span": "rod"}]
-    strain = {"type": "explicit", "modes": modes}
-    gravity = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
-    changes = {"strain": strain, **gravity}
-    scene = load_scene("three_tendon").replace(changes)
-    return model_on(scene, 4)
-
-
 def test_energies_are_those_of_a_bent_rod(bent):
     """1/2 EI k^2 L stored, 1/2 q_dot M q_dot in motion, and the weight's."""
     q = np.array([1.0, -2.0])

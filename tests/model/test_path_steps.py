@@ -6,8 +6,6 @@ import pytest
 
 from soft_tendon_env.model.equilibrium_residual import Balance
 from soft_tendon_env.model.load_continuation import LoadPath, _flow
-from soft_tendon_env.model.model import model_on
-from soft_tendon_env.scene.file import load_scene
 
 TENSION = np.array([2.0, 0.5, 1.0])  # [N]
 STRAY = 0.1  # [rad] that the middle of a step may be off
@@ -19,16 +17,10 @@ LEAST_LOAD = 1e-7  # of the full load, likewise
 
 
 @pytest.fixture
-def path():
+def path(bent):
     """The path of an arm with two curvatures under tensions and its weight."""
-    modes = [{"strains": ["bend_y", "bend_z"], "order": 0, "span": "rod"}]
-    strain = {"type": "explicit", "modes": modes}
-    gravity = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
-    changes = {"strain": strain, **gravity}
-    scene = load_scene("three_tendon").replace(changes)
-    model = model_on(scene, 4)
-    with model.workspace() as work:
-        yield LoadPath(Balance(model, TENSION, work))
+    with bent.workspace() as work:
+        yield LoadPath(Balance(bent, TENSION, work))
 
 
 @pytest.fixture

@@ -50,18 +50,9 @@ def test_a_simulation_that_begins_at_rest_stays(build, weight, tension):
     np.testing.assert_allclose(tip, equilibrium.tip_pose, atol=1e-8)
 
 
-def test_arms_that_rest_nowhere_begin_nowhere(build):
+def test_arms_that_rest_nowhere_begin_nowhere(fluttering):
     """A force beyond Beck's that follows the tip of a hardly damped rod."""
-    modes = [{"strains": ["bend_y", "bend_z"], "order": 2, "span": "rod"}]
-    beck = 20.05 * BENDING / LENGTH**2
-    follower = {
-        "strain": {"type": "explicit", "modes": modes},
-        "segments.*.damping": 1e-3,
-        "effects.tip_load": {"force": [-1.1 * beck, 0.0, 0.0], "frame": "tip"},
-    }
-    scene = load_scene("three_tendon").replace(follower)
-    model = model_on(scene, 6)
-    simulation = Simulation(model)
+    simulation = Simulation(fluttering)
     with pytest.raises(NoEquilibriumError, match="at rest nowhere .*flutter"):
         simulation.reset_at_rest()
 
