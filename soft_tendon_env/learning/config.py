@@ -19,7 +19,7 @@ from soft_tendon_env.learning.hyperparameters import (
     APG,
     DAGGER,
     hyperparameter_problems,
-    read_hyperparameters,
+    without_unread,
 )
 from soft_tendon_env.learning.shares import resolved
 from soft_tendon_env.policies.algorithms import ALGORITHMS
@@ -159,8 +159,8 @@ class Training(Configuration):
 
     @field_validator("hyperparameters")
     @classmethod
-    def _say_what_is_read(cls, hyperparameters: dict[str, Any]) -> dict[str, Any]:
-        return read_hyperparameters(hyperparameters)
+    def _leave_out_unread(cls, hyperparameters: dict[str, Any]) -> dict[str, Any]:
+        return without_unread(hyperparameters)
 
     @field_validator("options")
     @classmethod

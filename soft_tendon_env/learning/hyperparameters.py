@@ -97,7 +97,7 @@ def training_class(algorithm: str) -> Any:
     return getattr(module, algorithm)
 
 
-def read_hyperparameters(given: Mapping[str, Any]) -> dict[str, Any]:
+def without_unread(given: Mapping[str, Any]) -> dict[str, Any]:
     """Hyperparameters without those that their `cost` does not read.
 
     A training has such of one that it extends: they would tell two alike from one another.
