@@ -15,7 +15,7 @@ from soft_tendon_env.control.force_errors import (
     TendonFriction,
     holding_matrix,
 )
-from soft_tendon_env.control.innovations import Layout, layout_of
+from soft_tendon_env.control.innovations import Layout, Surprise, layout_of
 from soft_tendon_env.control.protocol import InputError
 from soft_tendon_env.control.rigid_motions import skew
 from soft_tendon_env.control.timing_bank import Bank
@@ -49,6 +49,7 @@ class Belief(NamedTuple):
     effects: Array  # internal states of the model's effects
     bank: Bank | None  # of the timing; None: it is found, or known
     locality: Locality
+    surprise: Surprise
 
 
 class StateSpace:

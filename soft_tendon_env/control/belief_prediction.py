@@ -176,6 +176,7 @@ class BeliefPrediction:
             effects=motion.effects,
             bank=bank,
             locality=last.locality,
+            surprise=last.surprise,
         )
         return Prediction(belief, transition)
 

@@ -13,6 +13,7 @@ import numpy as np
 from soft_tendon_env.control import timing_bank
 from soft_tendon_env.control.belief import Belief, StateSpace
 from soft_tendon_env.control.command_filter import Timing
+from soft_tendon_env.control.innovations import Surprise
 from soft_tendon_env.control.timing_bank import Bank
 from soft_tendon_env.control.uncertainty import Setting
 from soft_tendon_env.model.simulation import Simulation
@@ -91,6 +92,7 @@ class InitialBelief:
             effects=self._effects,
             bank=bank,
             locality=locality,
+            surprise=Surprise(),
         )
 
     def lost(self, last: Belief) -> Belief:

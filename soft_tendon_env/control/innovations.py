@@ -3,6 +3,7 @@
 They are what is measured less what the model expects of a state.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +27,30 @@ TURNS = 10.0
 RATE = 10.0
 """[1/s] Standard deviation of the model's tip twist in those of its pose."""
 VELOCITIES = ("tip_twist", "strain_rate")  # among the fields of Measurement
+RECENT = 0.5
+"""[s] over which squares of innovations are averaged."""
+FORGOTTEN = 10.0
+"""[s] in which a surprise falls to 1 / e: a plan that soon grew bold again would surprise anew."""
+MOST_SQUARE = 10.0
+"""Greatest mean square of innovations that counts: a push is one or two periods far beyond it."""
+
+
+class Surprise(NamedTuple):
+    """How far innovations exceed what the filter expects, where its model lacks a motion.
+
+    Both are mean squares of innovations in their standard deviations: about 1 where the filter is
+    right, less where it expects more noise than there is.
+    """
+
+    recent: float = 0.0  # running mean
+    lasting: float = 0.0  # greatest of it, slowly forgotten
+
+    def after(self, square: float, period: float) -> "Surprise":
+        """Surprise a period [s] later, whose innovations have a mean square."""
+        share = period / RECENT
+        recent = self.recent + share * (min(square, MOST_SQUARE) - self.recent)
+        left = math.exp(-period / FORGOTTEN)
+        return Surprise(recent, max(recent, left * self.lasting))
 
 
 class Layout(NamedTuple):

@@ -107,6 +107,7 @@ class ExtendedKalmanFilter:
         self._least, self._most = self._bounds()
         self._initial = InitialBelief(self.space, setting, tension, self.greatest)
         self._prediction = BeliefPrediction(self.space, setting, self.history)
+        self._period = setting.period
         self._sensor_model = SensorModel(
             model, self.space.layout, self.needs, sensors, setting.noise
         )
@@ -143,6 +144,7 @@ class ExtendedKalmanFilter:
             force_error=self.space.force_error(mean, belief.locality),
             timing=self.space.timing(mean) if None in self.known else None,
             timing_spread=_timing_spread(belief.bank),
+            surprise=belief.surprise.lasting,
             memory=belief,
         )
 
@@ -239,7 +241,7 @@ class ExtendedKalmanFilter:
                 by_timing = slope @ bank.covariance
                 left_out = by_timing @ slope.T
                 uncertain = noise + left_out
-            covariance, inverse_root = _plausible(predicted, slope, uncertain, innovations)
+            covariance, inverse_root, square = _plausible(predicted, slope, uncertain, innovations)
             cross = slope @ covariance
             gain = _gain(cross, inverse_root)
             moving = len(predicted.noise)
@@ -282,6 +284,7 @@ class ExtendedKalmanFilter:
             covariance=0.5 * (covariance + covariance.T),  # symmetric, also after round-off
             bank=bank,
             locality=locality,
+            surprise=predicted.surprise.after(square, self._period),
         )
         return Update(belief, score)
 
@@ -353,11 +356,12 @@ def _gain(cross: Array, inverse_root: Array) -> Array:
 
 def _plausible(
     predicted: Belief, slope: Array, noise: Array, innovations: Array
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, float]:
     """Covariance (m, m) under which innovations (k, H) are plausible, and L^-1 of theirs.
 
     Loads have jumped where that is far more likely. Where all hypotheses are surprised still, the
-    forces of the last period are taken for as much greater. Raises LinAlgError.
+    forces of the last period are taken for as much greater: by the mean square of the innovations
+    before that, which comes third. Raises LinAlgError.
     """
     covariance = predicted.covariance
     inverse_root = _inverse_root(slope, slope @ covariance, noise)
@@ -369,13 +373,13 @@ def _plausible(
     if is_timed and _evidence(inverse_root @ jump, whitened[:, best]) > EVIDENCE:
         covariance = covariance + predicted.jump @ predicted.jump.T
         inverse_root = _inverse_root(slope, slope @ covariance, noise)
-    surprise = _least_square(inverse_root, innovations)
-    if surprise > SURPRISE:
+    square = _least_square(inverse_root, innovations)
+    if square > SURPRISE:
         motion = slice(len(predicted.noise))
         covariance = covariance.copy()
-        covariance[motion, motion] += (surprise / SURPRISE - 1.0) * predicted.noise
+        covariance[motion, motion] += (square / SURPRISE - 1.0) * predicted.noise
         inverse_root = _inverse_root(slope, slope @ covariance, noise)
-    return covariance, inverse_root
+    return covariance, inverse_root, square
 
 
 def _evidence(jump: Array, innovation: Array) -> float:

@@ -72,6 +72,8 @@ class Tuning(NamedTuple):
 DEFAULT = Tuning()
 # more weight of smoothness for every period by which the arrival of commands is uncertain
 CAUTION = 4.0
+# more weight of smoothness for every unit by which squares of innovations exceed what is expected
+DOUBT = 10.0
 # more of the speed at which friction is whole, for every period by which the state is predicted: a
 # plan that trusts in a late direction of sliding swings about it
 BLUR = 2.0
@@ -194,8 +196,10 @@ class Predictive(ModelController):
         change = self._change @ tension
         change[: last.size] -= last
         unit = np.trace(hessian) / tension.size
-        caution = (1.0 + CAUTION * now.timing_spread / self.period) ** 2
-        smoothness = caution * self._smoothness
+        caution = 1.0 + CAUTION * now.timing_spread / self.period
+        # a model that lacks a motion may let a bold plan excite it
+        doubt = 1.0 + DOUBT * max(0.0, now.surprise - 1.0)
+        smoothness = (caution * doubt) ** 2 * self._smoothness
         penalty = self._effort * np.eye(tension.size) + smoothness * self._roughness
         hessian = hessian + unit * penalty
         penalty_gradient = self._effort * tension + smoothness * (self._change.T @ change)

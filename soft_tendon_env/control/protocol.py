@@ -81,6 +81,8 @@ class ControllerInput(NamedTuple):
     force_error: ForceError | None = None  # likewise, of the model's generalised forces
     actuators: LaggingActuators | None = None  # None: they follow at once
     timing_spread: float = 0.0  # [s] by which the arrival of commands is uncertain
+    # mean square of what an estimator did not expect, in its standard deviations, see Surprise
+    surprise: float = 0.0
     lead: float = 0.0  # [s] by which this state is predicted ahead of the last measurement
     # (n_a,) [N] by which actuators let tensions change in a period; None: by any amount
     greatest_change: Array | None = None
@@ -210,6 +212,7 @@ class Estimate(NamedTuple):
     force_error: ForceError | None = None
     timing: Timing | None = None  # [s] of commands, where it is estimated
     timing_spread: float = 0.0  # [s] by which that is uncertain, as long as it is far from found
+    surprise: float = 0.0  # mean square of what was not expected, in its standard deviations
     memory: Any = None
 
 

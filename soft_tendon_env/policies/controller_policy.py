@@ -467,6 +467,7 @@ class ControllerPolicy:
             estimate.input_error,
             estimate.force_error,
             timing_spread=estimate.timing_spread,
+            surprise=estimate.surprise,
             greatest_change=self._greatest_change,
         )
         if self.predictor is not None:

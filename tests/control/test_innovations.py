@@ -4,7 +4,15 @@ field."""
 import numpy as np
 import pytest
 
-from soft_tendon_env.control.innovations import SensorModel, layout_of, noise_variances
+from soft_tendon_env.control.innovations import (
+    FORGOTTEN,
+    MOST_SQUARE,
+    RECENT,
+    SensorModel,
+    Surprise,
+    layout_of,
+    noise_variances,
+)
 from soft_tendon_env.control.protocol import Measurement, SensorNoise
 from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
 
@@ -172,6 +180,24 @@ def test_velocities_are_less_certain_the_faster_the_arm(model, sensor_model, mea
         np.testing.assert_allclose(added, expected_added, atol=1e-9)
     for name in ("tendon_length", "strain"):
         np.testing.assert_array_equal(moving[rows_of(name)], at_rest[rows_of(name)])
+
+
+def test_a_surprise_comes_soon_and_goes_slowly():
+    """A running mean of bounded squares, and the greatest of it, forgotten in its own time."""
+    period = 0.02
+    surprise = Surprise()
+    for _ in range(50):
+        surprise = surprise.after(4.0, period)
+    kept = 1.0 - period / RECENT
+    expected = 4.0 * (1.0 - kept**50)
+    assert surprise.recent == pytest.approx(expected)
+    assert surprise.lasting == surprise.recent
+    for _ in range(100):
+        surprise = surprise.after(0.0, period)
+    assert surprise.recent == pytest.approx(expected * kept**100)
+    assert surprise.lasting == pytest.approx(expected * np.exp(-100 * period / FORGOTTEN))
+    pushed = Surprise().after(1e6, period)
+    assert pushed.recent == pytest.approx(MOST_SQUARE * period / RECENT)
 
 
 def test_without_sensors_of_strains_there_are_none(model, mean):

@@ -229,6 +229,23 @@ def test_innovations_are_white(gain, model, monkeypatch):
         assert np.abs(correlation).max() < 3.5 / np.sqrt(len(innovations))
 
 
+def test_a_filter_is_surprised_where_there_is_more_noise_than_it_was_told(noisy_life, model):
+    """Mean squares of innovations are below 1 where it is right, and 9 times as large by three
+    times the noise."""
+    estimates, *_ = noisy_life
+    third = {name: value / 3.0 for name, value in NOISE.model_dump().items()}
+    trusting = filter_of(model, noise=SensorNoise(**third))
+    of_trusting, *_ = live(trusting, model, 120, rng=np.random.default_rng(1))
+    expected, found = (
+        np.mean([estimate.memory.surprise.recent for estimate in life[50:]])
+        for life in (estimates, of_trusting)
+    )
+    assert 0.3 < expected < 1.1
+    assert 3.0 < found / expected < 9.0
+    assert all(estimate.surprise < 1.5 for estimate in estimates)
+    assert of_trusting[-1].surprise > 2.0
+
+
 @pytest.fixture(scope="module")
 def surprised(noisy_life, model):
     """A filter, its belief, the units of it, and what exact sensors say of an arm that is off by a
@@ -389,7 +406,7 @@ def test_loads_jump_once_the_timing_is_nearly_known(latencies, has_jumped, model
     predicted = belief._replace(bank=bank, jump=jump)
     innovations = np.full((6, 2), 0.5)
     noise = 1e-6 * np.eye(6)
-    covariance, _ = kalman._plausible(predicted, slope, noise, innovations)
+    covariance, *_ = kalman._plausible(predicted, slope, noise, innovations)
     before = np.diag(belief.covariance)[load]
     after = np.diag(covariance)[load]
     assert (after > before + 0.005).all() == has_jumped

@@ -225,6 +225,20 @@ def test_a_limit_that_is_never_reached_changes_no_plan(model, holding):
 
 
 @pytest.mark.parametrize(
+    ("surprise", "spread", "factor"),
+    [(0.5, 0.0, 1.0), (1.0, 0.0, 1.0), (1.5, 0.0, 6.0), (1.0, 0.01, 3.0), (2.0, 0.02, 55.0)],
+)
+def test_a_plan_is_smoother_where_an_estimator_doubts(model, holding, surprise, spread, factor):
+    """Where innovations surprise it, or the timing is uncertain: as with so much more weight."""
+    now = near(model, holding, 2)
+    tuning = DEFAULT._replace(smoothness=factor * DEFAULT.smoothness)
+    expected = Predictive(model, WIDE, PERIOD, TipPosition(), tuning).act(now)
+    doubted = now._replace(surprise=surprise, timing_spread=spread)
+    decision = Predictive(model, WIDE, PERIOD, TipPosition()).act(doubted)
+    np.testing.assert_allclose(decision.memory.tension, expected.memory.tension, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
     ("hold", "expected"),
     [(1, [1.0, 2.0, 2.0]), (2, [0.5, 1.5, 2.0]), (4, [0.25, 1.25, 2.0])],
 )
