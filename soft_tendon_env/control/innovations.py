@@ -47,7 +47,7 @@ class Surprise(NamedTuple):
 
     def after(self, square: float, period: float) -> "Surprise":
         """Surprise a period [s] later, whose innovations have a mean square."""
-        share = period / RECENT
+        share = -math.expm1(-period / RECENT)
         recent = self.recent + share * (min(square, MOST_SQUARE) - self.recent)
         left = math.exp(-period / FORGOTTEN)
         return Surprise(recent, max(recent, left * self.lasting))

@@ -188,7 +188,7 @@ def test_a_surprise_comes_soon_and_goes_slowly():
     surprise = Surprise()
     for _ in range(50):
         surprise = surprise.after(4.0, period)
-    kept = 1.0 - period / RECENT
+    kept = np.exp(-period / RECENT)
     expected = 4.0 * (1.0 - kept**50)
     assert surprise.recent == pytest.approx(expected)
     assert surprise.lasting == surprise.recent
@@ -197,7 +197,7 @@ def test_a_surprise_comes_soon_and_goes_slowly():
     assert surprise.recent == pytest.approx(expected * kept**100)
     assert surprise.lasting == pytest.approx(expected * np.exp(-100 * period / FORGOTTEN))
     pushed = Surprise().after(1e6, period)
-    assert pushed.recent == pytest.approx(MOST_SQUARE * period / RECENT)
+    assert pushed.recent == pytest.approx(MOST_SQUARE * (1.0 - kept))
 
 
 def test_without_sensors_of_strains_there_are_none(model, mean):
