@@ -96,6 +96,32 @@ class Search(Configuration, ABC):
     search: dict[str, Parameter] = Field(min_length=1)
     # tuning seeds that are played in every condition
     episodes: int = Field(default=len(SEEDS["tuning"]), ge=1, le=len(SEEDS["tuning"]))
+    # best trials, which are played again on the other tuning seeds: the best there is the best of
+    # the study, since that of many on the same seeds is so by luck too; 0: there are none
+    finalists: int = Field(default=0, ge=0)
+    _seeds: tuple[int, ...] = ()  # which are played
+
+    @model_validator(mode="after")
+    def _has_seeds(self) -> "Search":
+        self._seeds = tuple(SEEDS["tuning"][: self.episodes])
+        if self.finalists and not self._other_seeds():
+            text = f"is {self.finalists}, and `episodes` has all tuning seeds: it should be 0"
+            raise ConfigurationError([Problem(("finalists",), text)])
+        return self
+
+    def _other_seeds(self) -> tuple[int, ...]:
+        """Tuning seeds that trials do not play."""
+        return tuple(SEEDS["tuning"][self.episodes :])
+
+    def of_finals(self) -> "Search":
+        """Returns the search on the tuning seeds that its trials do not play.
+
+        Returns:
+            A search, whose `cost` is that of a finalist.
+        """
+        finals = self.model_copy()
+        finals._seeds = self._other_seeds()
+        return finals
 
     @abstractmethod
     def cost(self, values: Mapping[str, Any], folder: Path, report: Report) -> float:
@@ -143,15 +169,14 @@ class Search(Configuration, ABC):
     ) -> float:
         """Cost [m] of a policy over the tuning seeds, under one condition."""
         steps = episode_steps(seconds, skip, options)
-        seeds = SEEDS["tuning"][: self.episodes]
         made = gym.make_vec(
             IDS[task],
-            num_envs=self.episodes,
+            num_envs=len(self._seeds),
             max_episode_steps=steps,
             **options,
         )
         with closing(made) as envs:
-            scores = evaluate_rows(make(envs), envs, seeds, skip)
+            scores = evaluate_rows(make(envs), envs, self._seeds, skip)
         return tracking_cost(scores)
 
 

@@ -36,7 +36,7 @@ def open_study(search: Search, folder: Path) -> optuna.Study:
         storage=JournalStorage(log), study_name="study", load_if_exists=True, pruner=pruner
     )
     begun = study.user_attrs.get("search")
-    table = search.model_dump(mode="json", exclude={"trials"})
+    table = search.model_dump(mode="json", exclude={"trials", "finalists"})
     if begun is None:
         study.set_user_attr("search", table)
         first = search.first_values()
@@ -95,7 +95,8 @@ def run_trial(search: Search, folder: Path, _: int = 0) -> None:
 def tune(search: Search, folder: Path, workers: int, cluster: str | None = None) -> FrozenTrial:
     """Runs the missing trials of a study and returns the best of all.
 
-    It is printed, and trials.csv and best.toml are written into the folder.
+    It is printed, and trials.csv and best.toml are written into the folder. Where there are
+    finalists, the best is that of the least cost in the finals.
 
     Args:
         search: what is searched.
@@ -116,21 +117,30 @@ def tune(search: Search, folder: Path, workers: int, cluster: str | None = None)
     one_more = partial(run_trial, search, folder)
     run_all(one_more, missing, workers, "study", unit="trial", cluster=cluster)
     trials = study.get_trials(states=DONE)
-    rows = [_table_row(trial) for trial in trials]
+    complete = [trial for trial in trials if trial.state is TrialState.COMPLETE]
+    finalists = _finalists(complete, search.finalists)
+    play_final = partial(_final_cost, search.of_finals(), folder)
+    final_costs = run_all(play_final, finalists, workers, "finals", unit="trial", cluster=cluster)
+    numbers = [trial.number for trial in finalists]
+    finals = dict(zip(numbers, final_costs, strict=True))
+    rows = [_table_row(trial, finals.get(trial.number)) for trial in trials]
     write_csv(folder / "trials.csv", rows)
-    complete = _count(trials, TrialState.COMPLETE)
-    pruned = _count(trials, TrialState.PRUNED)
     if not complete:
         errors = [trial.user_attrs["error"] for trial in trials if "error" in trial.user_attrs]
         first = ""
         if errors:
             first = f", the first: {errors[0]}"
         raise UserError(f"none of {len(trials)} trials was successful{first}")
-    best = study.best_trial
+    pruned = sum(trial.state is TrialState.PRUNED for trial in trials)
+    print(f"{len(trials)} trials: {len(complete)} complete, {pruned} pruned")
+    best = min(complete, key=_cost)
+    for trial in finalists:
+        cost = finals[trial.number]
+        print(f"trial {trial.number}: {_shown(_cost(trial))}, in the finals {_shown(cost)}")
+        if cost < finals[best.number]:
+            best = trial
     values = best.user_attrs["values"]
-    cost = 1e3 * (best.value or 0.0)
-    print(f"{len(trials)} trials: {complete} complete, {pruned} pruned")
-    print(f"best: trial {best.number}, {number(cost)} mm, {values}")
+    print(f"best: trial {best.number}, {_shown(_cost(best))}, {values}")
     path = folder / "best.toml"
     table = search.file(values)
     path.write_text(tomli_w.dumps(table))
@@ -138,18 +148,39 @@ def tune(search: Search, folder: Path, workers: int, cluster: str | None = None)
     return best
 
 
-def _table_row(trial: FrozenTrial) -> dict[str, object]:
+def _finalists(complete: list[FrozenTrial], count: int) -> list[FrozenTrial]:
+    """So many trials of least cost, and the first of all, which has the values in use."""
+    finalists = sorted(complete, key=_cost)[:count]
+    first = complete[:1]
+    if finalists and first[0] not in finalists:
+        finalists += first
+    return finalists
+
+
+def _final_cost(search: Search, folder: Path, trial: FrozenTrial) -> float:
+    """Cost [m] of a finalist by a search on other seeds."""
+    trial_folder = folder / f"final_{trial.number}"
+    with into_log(trial_folder / "trial.log"):
+        return search.cost(trial.user_attrs["values"], trial_folder, lambda cost: None)
+
+
+def _cost(trial: FrozenTrial) -> float:
+    """Cost [m] of a complete trial."""
+    return trial.value or 0.0
+
+
+def _shown(cost: float) -> str:
+    """Cost [m] as text."""
+    return f"{number(1e3 * cost)} mm"
+
+
+def _table_row(trial: FrozenTrial, final_cost: float | None) -> dict[str, object]:
     """Row of a trial in trials.csv."""
     return {
         "trial": trial.number,
         "state": trial.state.name.lower(),
         "cost": trial.value,
+        "cost in the finals": final_cost,
         **trial.params,
         "error": trial.user_attrs.get("error"),
     }
-
-
-def _count(trials: list[FrozenTrial], state: TrialState) -> int:
-    """Number of trials in a state."""
-    is_in_state = (trial.state is state for trial in trials)
-    return sum(is_in_state)
