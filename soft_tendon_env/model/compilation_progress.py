@@ -22,8 +22,11 @@ GROWTH = 1.25
 """Exponent of the share of kernels in the share of time, for the larger kernels come later: fitted
 to these compilations, whose CPU time to go it tells to a third."""
 
-BETWEEN = 10.0
-"""Time [s] of compilation between two lines."""
+FIRST_LINE = 10.0
+"""Time [s] of compilation after which the first line comes."""
+
+NEXT_LINE = 1.5
+"""Factor of that time from a line to the next: a compilation of five minutes has nine lines."""
 
 
 class CompilationProgress(event.Listener):
@@ -41,7 +44,7 @@ class CompilationProgress(event.Listener):
         self._open = 0  # kernels under way: each waits for those that it calls
         self._began = 0.0  # when the outermost of them began
         self._spent = 0.0  # on the outermost ones before it
-        self._said = 0.0  # time spent at the last line
+        self._next_line = FIRST_LINE  # time spent at which it comes
 
     def concerns(self, scene: Scene) -> None:
         """Names the scene whose kernels are compiled from now on, and counts them."""
@@ -61,7 +64,7 @@ class CompilationProgress(event.Listener):
         self._open += 1
 
     def on_end(self, event: Any) -> None:
-        """A kernel is done: say how long the others will take, if the last line is old."""
+        """A kernel is done: say how long the others will take, if it is time for a line."""
         if not _is_kernel(event):
             return
         self._open -= 1
@@ -69,8 +72,8 @@ class CompilationProgress(event.Listener):
         spent = self._spent + self._clock() - self._began
         if self._open == 0:
             self._spent = spent
-        if self._is_first and self._done < self._kernels and spent - self._said >= BETWEEN:
-            self._said = spent
+        if self._is_first and self._done < self._kernels and spent >= self._next_line:
+            self._next_line = NEXT_LINE * spent
             share = (self._done / self._kernels) ** GROWTH
             to_go = spent / share - spent
             with naming(f"scene {self._scene!r}"):
@@ -94,7 +97,7 @@ def _any_kept() -> bool:
 
 
 PROGRESS = CompilationProgress()
-"""Of this process."""
+"""Progress of all compilation in this process."""
 
 if not config.DISABLE_JIT:
     event.register("numba:compile", PROGRESS)
