@@ -8,9 +8,10 @@ import pytest
 import soft_tendon_env as ste
 from soft_tendon_env.model import compilation_progress
 from soft_tendon_env.model.compilation_progress import (
+    ADDED,
+    ADDED_BY_OTHERS,
     GROWTH,
     KERNELS,
-    OF_CONTACT,
     CompilationProgress,
 )
 from soft_tendon_env.tools.messages import say_once
@@ -46,7 +47,11 @@ def _said_anew():
 
 @pytest.mark.parametrize(
     ("scene", "kernels"),
-    [("three_tendon", KERNELS), ("paper_among_obstacles", KERNELS + OF_CONTACT)],
+    [
+        ("three_tendon", KERNELS),
+        ("underwater", KERNELS + ADDED_BY_OTHERS),
+        ("paper_among_obstacles", KERNELS + ADDED["contact"]),
+    ],
 )
 def test_the_time_to_go_is_what_is_left(scene, kernels, monkeypatch, capsys):
     monkeypatch.setattr(compilation_progress, "_any_kept", lambda: False)
