@@ -24,8 +24,12 @@ BOOSTS = {"how_to/recipes.md": 4, "how_to/controllers.md": 2, "api/": 0.3}
 """Weights in the search, by the beginnings of paths: answers before signatures."""
 NOT_SEARCHED = "---\nsearch: {exclude: true}\n---\n"
 SOURCE = re.compile(rf"(?:{'|'.join(FOLDERS)})/[\w/]+\.(?:py|toml)")
-NUMBERS = re.compile(r"<td>(-?\d[-\d.,]*(?: \(-?\d[-\d.,]*(?: to -?\d[-\d.,]*)?\))?)</td>")
-"""Cells of a number alone, or with a mean or an interval in brackets."""
+CELL = re.compile(r"<td>(.*?)</td>", re.DOTALL)
+NUMBER = r"(?:\(?-?\d[-+\d.,e–]*[x*%]?\)?,?|/|%,?|to|of|bad)"
+"""A number of a table, perhaps in brackets, or what stands between two of them."""
+NUMBERS = re.compile(f"{NUMBER}(?: {NUMBER})*")
+LONG = 40
+"""Characters of a cell from which on it keeps some width on a phone, see site.css."""
 FENCE_LINK_OR_CODE = re.compile(
     r"^```.*?^```|(?P<link>\[[^\]]*\])\((?P<target>[^)\s]+)\)|`(?P<path>[\w/]+\.\w+)`",
     re.MULTILINE | re.DOTALL,
@@ -56,15 +60,28 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_content(content: str, page: Page, **kwargs: Any) -> str:
-    """Lets long names, such as those of tests, break behind an underscore or a dot, and numbers of
-    a table, such as "1.8 (2.9)", nowhere."""
-    content = NUMBERS.sub(r'<td class="numbers">\1</td>', content)
+    """Lets long names, such as those of tests, break behind an underscore or a dot, and cells of a
+    table where `laid_out` does."""
+    content = CELL.sub(laid_out, content)
     broken = re.compile(r"(?<=\w[_.])(?=\w)")
     return re.sub(
         r"<code>([\w.\[\]]{30,})</code>",
         lambda match: f"<code>{broken.sub('<wbr>', match[1])}</code>",
         content,
     )
+
+
+def laid_out(cell: re.Match[str]) -> str:
+    """Cell of a table: numbers, such as "1.8 (2.9), 3 % bad", break behind a comma alone, and a
+    long text has a class."""
+    content = cell[1]
+    if NUMBERS.fullmatch(content):
+        parts = [f'<span class="numbers">{part}</span>' for part in content.split(", ")]
+        return f"<td>{', '.join(parts)}</td>"
+    text = re.sub(r"<[^>]*>", "", content)
+    if len(text) > LONG:
+        return f'<td class="text">{content}</td>'
+    return cell[0]
 
 
 def on_post_build(config: MkDocsConfig) -> None:

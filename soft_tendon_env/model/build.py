@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.model.compilation_progress import PROGRESS
 from soft_tendon_env.model.model import Model, is_singular, model_on
 from soft_tendon_env.model.quadrature import QuadratureEstimate, QuadratureTest
 from soft_tendon_env.model.strain_limits import StrainLimitError
@@ -54,7 +55,11 @@ def build_model(scene: Scene) -> Model:
 
 
 def compiling_for(scene: Scene) -> AbstractContextManager[None]:
-    """Context in which the line on compilation names the scene and the time."""
+    """Context in which the line on compilation names the scene and the time.
+
+    Lines on the time to go name the scene behind the context too.
+    """
+    PROGRESS.concerns(scene)
     return naming(f"scene {scene.name!r}, {FIRST_USE}")
 
 

@@ -62,13 +62,24 @@ def test_source_files_are_linked(markdown, shown):
 
 
 @pytest.mark.parametrize(
-    ("cell", "stays_whole"),
-    [("1.8 (2.9)", True), ("-0.48 (-0.75 to -0.24)", True), ("3 columns", False)],
+    ("cell", "parts"),
+    [
+        ("1.8 (2.9)", ["1.8 (2.9)"]),
+        ("-0.48 (-0.75 to -2.4e-05)", ["-0.48 (-0.75 to -2.4e-05)"]),
+        ("416 / 418, 100 % bad", ["416 / 418", "100 % bad"]),
+        ("3 columns", []),
+    ],
 )
-def test_numbers_of_a_table_do_not_break(cell, stays_whole):
+def test_numbers_of_a_table_break_behind_a_comma_alone(cell, parts):
     html = site_hooks.on_page_content(f"<td>{cell}</td>", page("a.md"))
-    expected = '<td class="numbers">' if stays_whole else "<td>"
-    assert html == f"{expected}{cell}</td>"
+    assert re.findall(r'<span class="numbers">(.*?)</span>', html) == parts
+    assert re.sub(r"</?span[^>]*>", "", html) == f"<td>{cell}</td>"
+
+
+@pytest.mark.parametrize(("length", "kind"), [(40, ""), (41, ' class="text"')])
+def test_long_texts_of_a_table_keep_some_width(length, kind):
+    text = f"<code>{'a' * 8}</code>{' ' * (length - 8)}"
+    assert site_hooks.on_page_content(f"<td>{text}</td>", page("a.md")) == f"<td{kind}>{text}</td>"
 
 
 def shown_on(page):
