@@ -131,6 +131,34 @@ def test_a_study_goes_on_and_repeats_itself(tmp_path):
         tune(Bowl(trials=3, fails=True), tmp_path, workers=1)
 
 
+@pytest.mark.parametrize(("finalists", "expected"), [(0, 3), (2, 4), (4, 1)])
+def test_finals_on_other_seeds_tell_the_best(finalists, expected, monkeypatch, tmp_path, capsys):
+    """Of trials and the values in use, which are the first one; without finals the least cost
+    does."""
+    of_trials = {0: 5.0, 1: 4.0, 2: 3.0, 3: 1.0, 4: 2.0}
+    of_finals = {0: 3.0, 1: 0.5, 2: 2.0, 3: 4.0, 4: 1.0}
+    played = []
+
+    def cost(search, values, folder, report):
+        kind, _, number = folder.name.partition("_")
+        played.append((kind, int(number), search._seeds))
+        costs = of_finals if kind == "final" else of_trials
+        return 1e-3 * costs[int(number)]
+
+    monkeypatch.setattr(ControllerSearch, "cost", cost)
+    changes = {"trials": 5, "episodes": 4, "finalists": finalists}
+    search = ControllerSearch(**CONTROLLER | changes)
+    best = tune(search, tmp_path, workers=1)
+    assert best.number == expected
+    assert played[:5] == [("trial", number, tuple(range(100, 104))) for number in range(5)]
+    ranks = {0: [], 2: [3, 4, 0], 4: [3, 4, 2, 1, 0]}[finalists]
+    assert played[5:] == [("final", number, tuple(range(104, 112))) for number in ranks]
+    rows = csv.DictReader((tmp_path / "trials.csv").read_text().splitlines())
+    costs = {int(row["trial"]): row["cost in the finals"] for row in rows}
+    assert [number for number, text in costs.items() if text] == sorted(ranks)
+    assert f"best: trial {expected}, {of_trials[expected]:.2f} mm" in capsys.readouterr().out
+
+
 def test_settings_are_played_alone_and_together(monkeypatch, tmp_path):
     """The cost is the geometric mean of all."""
     played = []
@@ -176,6 +204,11 @@ def test_settings_are_played_alone_and_together(monkeypatch, tmp_path):
             ControllerSearch,
             {"together": [["latency", "loads"]]},
             "together.*'loads'.*a setting",
+        ),
+        (
+            ControllerSearch,
+            {"episodes": 12, "finalists": 2},
+            "finalists is 2, and `episodes` has all tuning seeds: it should be 0",
         ),
         (ControllerSearch, {"policy": "agent"}, "policy is 'agent': it should be a controller"),
         (
