@@ -72,7 +72,7 @@ class Tuning(NamedTuple):
 DEFAULT = Tuning()
 # more weight of smoothness for every period by which the arrival of commands is uncertain
 CAUTION = 4.0
-# more weight of smoothness for every unit by which squares of innovations exceed what is expected
+# most further weight of smoothness: where squares of innovations are twice what is expected
 DOUBT = 10.0
 # more of the speed at which friction is whole, for every period by which the state is predicted: a
 # plan that trusts in a late direction of sliding swings about it
@@ -198,7 +198,8 @@ class Predictive(ModelController):
         unit = np.trace(hessian) / tension.size
         caution = 1.0 + CAUTION * now.timing_spread / self.period
         # a model that lacks a motion may let a bold plan excite it
-        doubt = 1.0 + DOUBT * max(0.0, now.surprise - 1.0)
+        excess = min(max(now.surprise - 1.0, 0.0), 1.0)
+        doubt = 1.0 + DOUBT * excess
         smoothness = (caution * doubt) ** 2 * self._smoothness
         penalty = self._effort * np.eye(tension.size) + smoothness * self._roughness
         hessian = hessian + unit * penalty

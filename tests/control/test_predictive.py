@@ -226,7 +226,14 @@ def test_a_limit_that_is_never_reached_changes_no_plan(model, holding):
 
 @pytest.mark.parametrize(
     ("surprise", "spread", "factor"),
-    [(0.5, 0.0, 1.0), (1.0, 0.0, 1.0), (1.5, 0.0, 6.0), (1.0, 0.01, 3.0), (2.0, 0.02, 55.0)],
+    [
+        (0.5, 0.0, 1.0),
+        (1.0, 0.0, 1.0),
+        (1.5, 0.0, 6.0),
+        (1.0, 0.01, 3.0),
+        (2.0, 0.02, 55.0),
+        (9.0, 0.0, 11.0),
+    ],
 )
 def test_a_plan_is_smoother_where_an_estimator_doubts(model, holding, surprise, spread, factor):
     """Where innovations surprise it, or the timing is uncertain: as with so much more weight."""
