@@ -50,16 +50,17 @@ class Plan(NamedTuple):
 class Tuning(NamedTuple):
     """Weights and horizon of a model-predictive controller.
 
-    Efforts and errors are measured by what they do to the task.
+    Efforts and errors are measured by what they do to the task. Settling time and both weights are
+    those of configs/tuned_predictive.toml.
     """
 
     # [s] within which errors that are there now are planned to fall to 2 %
-    settling_time: float = 0.2
+    settling_time: float = 0.174
     horizon: int = 12  # intervals to plan
     # control periods that an interval lasts, in which tensions stay as they are (move blocking)
     hold: int = 1
-    effort: float = 3e-3  # weight of tensions against that of errors
-    smoothness: float = 0.25  # the same of their changes from period to period
+    effort: float = 4.7e-3  # weight of tensions against that of errors
+    smoothness: float = 0.295  # the same of their changes from period to period
     # share of the unexplained motion that is taken for a disturbance every period, 0 to 1
     observer: float = 0.25
 

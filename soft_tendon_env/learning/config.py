@@ -208,7 +208,7 @@ class Training(Configuration):
         return episode_steps(self.seconds, 0.0, self.options)
 
 
-NO_TRAININGS = ("published", "tune_")  # prefixes of the files in configs/ that are no trainings
+NO_TRAININGS = ("published", "tune")  # prefixes of the files in configs/ that are no trainings
 
 
 def config_names(prefix: str = "") -> tuple[str, ...]:

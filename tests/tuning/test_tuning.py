@@ -11,10 +11,12 @@ import pytest
 import tomli_w
 
 from soft_tendon_env.cli.main import main
+from soft_tendon_env.control.uncertainty import USUAL
 from soft_tendon_env.evaluation import summaries
 from soft_tendon_env.learning.config import config_names, find_config, read_training
 from soft_tendon_env.policies import PolicyName
 from soft_tendon_env.tools.configuration import ConfigurationError
+from soft_tendon_env.tools.files import CONFIGS
 from soft_tendon_env.tools.messages import UserError
 from soft_tendon_env.tuning.search import (
     ControllerSearch,
@@ -234,11 +236,11 @@ def test_mistakes_of_a_search_are_one_line(kind, changes, message):
 def test_a_search_begins_with_the_values_in_use(tmp_path):
     """As far as its ranges have them."""
     search = ControllerSearch(**CONTROLLER)
-    in_use = {"settling_time": 0.2, "estimator.force": 1.5e-3}
+    in_use = {"settling_time": 0.2, "estimator.force": USUAL.force}
     assert search.first_values() == in_use
     narrow = {**CONTROLLER["search"], "settling_time": {"low": 0.5, "high": 0.8}}
     shorter = ControllerSearch(**{**CONTROLLER, "search": narrow})
-    assert shorter.first_values() == {"estimator.force": 1.5e-3}
+    assert shorter.first_values() == {"estimator.force": USUAL.force}
     (waiting,) = open_study(search, tmp_path).trials
     assert waiting.system_attrs["fixed_params"] == in_use
 
@@ -271,6 +273,16 @@ def test_both_are_tuned_from_the_command_line(table, tmp_path, monkeypatch, caps
         assert read_training(out / "best.toml").steps == 128
         assert (out / "trial_0" / "best" / "weights.npz").exists()
         assert not (Path(out) / "trial_0" / "last").exists(), "nothing goes on from it"
+
+
+def test_the_values_in_use_are_those_that_the_search_has_found():
+    """To the digits that the code has."""
+    found = PolicyName.parse(str(CONFIGS / "tuned_predictive.toml"), "TipPose")
+    search = read_search(find_config("predictive", "tune_"))
+    assert found.parameters.keys() == search.search.keys()
+    in_use = PolicyName.parse(search.policy, "TipPose").defaults
+    for name, value in found.parameters.items():
+        assert in_use[name] == pytest.approx(value, rel=5e-3), name
 
 
 @pytest.mark.parametrize("name", config_names("tune_"))
