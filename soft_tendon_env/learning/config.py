@@ -19,7 +19,7 @@ from soft_tendon_env.learning.hyperparameters import (
     APG,
     DAGGER,
     hyperparameter_problems,
-    without_unread,
+    unread_names,
 )
 from soft_tendon_env.learning.shares import resolved
 from soft_tendon_env.policies.algorithms import ALGORITHMS
@@ -90,7 +90,7 @@ class Training(Configuration):
             "geometric" behind them a straight line between their logarithms.
         hyperparameters: further arguments of the algorithm, by Stable-Baselines3's names;
             `activation_fn` is a name in torch.nn. Those that the `cost` of APG does not read are
-            left out.
+            refused.
         options: options of the environment, see `soft_tendon_env.envs.Options`.
         integral_time: [s], integral action around the agent once it acts and is evaluated, see
             policies/integral.py; None: none.
@@ -156,11 +156,6 @@ class Training(Configuration):
             known = not_registered(algorithm, ALGORITHMS)
             raise ValueError(f"should be an algorithm to train with: {known}")
         return algorithm
-
-    @field_validator("hyperparameters")
-    @classmethod
-    def _leave_out_unread(cls, hyperparameters: dict[str, Any]) -> dict[str, Any]:
-        return without_unread(hyperparameters)
 
     @field_validator("options")
     @classmethod
@@ -244,6 +239,8 @@ def read_table(path: Path, extending: Sequence[Path] = ()) -> dict[str, Any]:
 
     Tables are merged by key, all else is replaced, lists too. A table of another `type`, and the
     hyperparameters of another algorithm, are replaced as a whole: their keys are of their kind.
+    Where a file says another `cost`, what that cost does not read of the extended file's is left
+    out.
 
     Args:
         path: of the TOML file.
@@ -268,6 +265,7 @@ def read_table(path: Path, extending: Sequence[Path] = ()) -> dict[str, Any]:
     base = read_table(extended, chain)
     if _differ(base, table, "algorithm"):
         base.pop("hyperparameters", None)
+    _leave_out_unread(base, table)
     return _merged(base, table)
 
 
@@ -290,6 +288,21 @@ def _extended_file(path: Path, given: Any) -> Path:
         )
         raise ConfigurationError([Problem((EXTENDS,), text)], str(path))
     return file
+
+
+def _leave_out_unread(base: dict[str, Any], table: Mapping[str, Any]) -> None:
+    """Takes out of a base, in place, the hyperparameters that a table's own `cost` does not read.
+
+    Nobody who writes the table has said them, and a record with them would differ from one without.
+    """
+    algorithm = table.get("algorithm", base.get("algorithm"))
+    extended = base.get("hyperparameters")
+    own = table.get("hyperparameters")
+    # what is no table is refused once it is read
+    if not isinstance(extended, dict) or not isinstance(own, Mapping):
+        return
+    for name in unread_names(algorithm, own):
+        extended.pop(name, None)
 
 
 def _merged(base: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
