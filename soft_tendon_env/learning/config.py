@@ -143,7 +143,8 @@ class Training(Configuration):
     @field_validator("learning_rate", mode="before")
     @classmethod
     def _is_rate(cls, rate: Any) -> Any:
-        if not isinstance(rate, int | float | list | tuple):
+        is_rate = isinstance(rate, int | float | list | tuple)
+        if not is_rate:
             raise ValueError(
                 'should be a number such as 3e-4, [first, last], or [first, last, "geometric"]'
             )
@@ -321,7 +322,8 @@ def _merged(base: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]
 
 def _differ(base: Mapping[str, Any], table: Mapping[str, Any], key: str) -> bool:
     """Whether a table says otherwise than its base what it is."""
-    return key in table and key in base and table[key] != base[key]
+    is_in_both = key in table and key in base
+    return is_in_both and table[key] != base[key]
 
 
 def read_training(path: Path, changes: Sequence[str] = (), **more: Any) -> Training:
