@@ -161,24 +161,32 @@ def pull(tension, points, position, directors, forces, torques):
     """Add what strings do to their guides: forces (3, nodes) in the world, torques (3, elements) in
     the frames of elements."""
     elements = directors.shape[2]
-    force = np.empty(3)
-    lever = np.empty(3)
     for a in range(len(tension)):
         for k in range(1, elements + 1):
-            e = min(k, elements - 1)
+            guide = points[a, k]
+            force = direction(guide, points[a, k - 1])
+            if k < elements:
+                force += direction(guide, points[a, k + 1])
+            force *= tension[a]
             # a guide's force halves among the nodes of its element; the end's is the last node's
-            first = e if k < elements else elements
-            before = np.linalg.norm(points[a, k] - points[a, k - 1])
-            after = np.linalg.norm(points[a, k + 1] - points[a, k]) if k < elements else 1.0
-            for j in range(3):
-                force[j] = (points[a, k - 1, j] - points[a, k, j]) / before
-                if k < elements:
-                    force[j] += (points[a, k + 1, j] - points[a, k, j]) / after
-                force[j] *= tension[a]
-                lever[j] = points[a, k, j] - 0.5 * (position[j, first] + position[j, e + 1])
-                forces[j, first] += 0.5 * force[j]
-                forces[j, e + 1] += 0.5 * force[j]
+            element = min(k, elements - 1)
+            second = element + 1
+            first = element
+            if k == elements:
+                first = second
+            half = 0.5 * force
+            forces[:, first] += half
+            forces[:, second] += half
+            centre = 0.5 * (position[:, first] + position[:, second])
+            lever = guide - centre
             moment = np.cross(lever, force)
             for i in range(3):
                 for j in range(3):
-                    torques[i, e] += directors[i, j, e] * moment[j]
+                    torques[i, element] += directors[i, j, element] * moment[j]
+
+
+@njit
+def direction(begin, end):
+    """Unit vector from a point to another."""
+    way = end - begin
+    return way / np.linalg.norm(way)

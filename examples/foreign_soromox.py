@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from foreign_arm import ForeignArm
+from jax.scipy.linalg import lu_factor, lu_solve
 from scipy.spatial.transform import Rotation
 from soromox.actuation import ThreadlikeActuator, ThreadlikeImpedance, ThreadlikeRouting
 from soromox.systems.components import JointSpec, LinkSpec
@@ -57,11 +58,16 @@ def next_state(robot, state, tension, step):
     def rates(state):
         return robot.forward_dynamics(0.0, state, (tension,))
 
-    slope = jax.jacfwd(rates)(state)
-    factors = jax.scipy.linalg.lu_factor(jnp.eye(state.size) - GAMMA * step * slope)
-    first = jax.scipy.linalg.lu_solve(factors, rates(state))
-    second = jax.scipy.linalg.lu_solve(factors, rates(state + step * first) - 2.0 * first)
-    return state + step * (1.5 * first + 0.5 * second)
+    jacobian = jax.jacfwd(rates)
+    slope = jacobian(state)
+    identity = jnp.eye(state.size)
+    factors = lu_factor(identity - GAMMA * step * slope)
+    first = lu_solve(factors, rates(state))
+    predicted = state + step * first
+    right = rates(predicted) - 2.0 * first
+    second = lu_solve(factors, right)
+    mean_rate = 1.5 * first + 0.5 * second
+    return state + step * mean_rate
 
 
 @eqx.filter_jit

@@ -79,7 +79,8 @@ class CaseModels:
         if test.reference.is_equilibrium:
             return tip_path(self.model(test.case), test.commands)
         path = self._begun(test, hopeless)
-        is_whole = path is not None and len(path) == test.rows + 1
+        sample_count = test.rows + 1
+        is_whole = path is not None and len(path) == sample_count
         if not is_whole:
             return None
         return path

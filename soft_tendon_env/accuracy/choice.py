@@ -62,7 +62,9 @@ class Choice(NamedTuple):
     @property
     def speaks_of_all(self) -> bool:
         """Whether the error holds for all inputs, to the end of motions with usual tensions."""
-        return not self.left_out and self.seconds >= DURATION and self.tensions == 1.0
+        is_long = self.seconds >= DURATION
+        has_usual_tensions = self.tensions == 1.0
+        return not self.left_out and is_long and has_usual_tensions
 
     def applied_to(self, scene: Scene) -> Scene:
         """The scene with this choice."""
@@ -111,11 +113,13 @@ class Choice(NamedTuple):
 
         It has the error that was measured, or why there is none and what to do.
         """
-        kind = f"{describe_strain(self.strain)}, {self.coordinates} coordinates,"
+        strain = describe_strain(self.strain)
+        kind = f"{strain}, {self.coordinates} coordinates,"
         if not math.isfinite(self.error):
             return f"{kind} are a guess, since {self.obstacle}"
-        share = f"{100 * self.error:.2g} % of the length"
+        percent = 100 * self.error
         millimetres = 1e3 * self.error * rod_length(scene)
+        share = f"{percent:.2g} % of the length"
         size = f"{millimetres:.2g} mm"
         return f"{kind} were within {share}, {size}, in a trial{self.limits}"
 

@@ -83,7 +83,9 @@ def _first_near(trial: Trial, asked: Accuracy, progress: Progress, least: int) -
         progress.candidate()
         if choice is None:
             continue
-        if not _is_near(choice) and choice.coordinates >= RESETTLED * coordinates:
+        resettled = RESETTLED * coordinates
+        has_grown = choice.coordinates >= resettled
+        if has_grown and not _is_near(choice):
             coordinates = choice.coordinates
             finer = _resettled(trial, settled, choice)
             if finer.integrator != settled.integrator:
@@ -148,7 +150,10 @@ def _with_inputs(choice: Choice, trial: Trial, asked: Accuracy) -> Choice:
         bounds = bounds_in_metres / rod_length(trial.scene)
         is_accurate_until = bounds <= asked.share
         samples = int(np.count_nonzero(is_accurate_until))
-        growth = [(seconds, float(bounds[round(seconds / HOLD)])) for seconds in HORIZONS]
+        growth = []
+        for seconds in HORIZONS:
+            sample = round(seconds / HOLD)
+            growth.append((seconds, float(bounds[sample])))
         within = HOLD * max(samples - 1, 0)
         choice = choice._replace(seconds=within, growth=tuple(growth))
     return choice._replace(

@@ -97,13 +97,15 @@ def pulling_commands(model: Model, tensions: Array, shape: Array) -> Array:
         return tensions
     pulls = np.array([model.command(row, shape) for row in tensions])
     limits = model.scene.effects.command_limits(model.discretisation.tension_limits)
-    return np.clip(pulls, limits[:, 0], limits[:, 1])
+    least, greatest = limits.T
+    return np.clip(pulls, least, greatest)
 
 
 def _with_moments(scene: Scene, strains: Sequence[str], order: int) -> Model:
     """Model with Legendre moments of some strains over the rod."""
     moments = {"strains": [*strains], "order": order, "span": "rod"}
-    strain = bare_rod(scene) | {"passive": [moments]}
+    passive = {"passive": [moments]}
+    strain = bare_rod(scene) | passive
     steps = STEPS * rod_length(scene)
     integrator = {"tolerance": steps, "max_halvings": MOST_HALVINGS}
     changed = scene.replace({"strain": strain, "integrator": integrator})
@@ -111,5 +113,7 @@ def _with_moments(scene: Scene, strains: Sequence[str], order: int) -> Model:
     # as many intervals of each part that turns once as its polynomials need
     pieces = breakpoints(scene).size - 1
     parts = pieces + len(part_borders(scene))
-    intervals = math.ceil(parts / pieces * (RICH + SPARE_INTERVALS))
+    turns = parts / pieces
+    per_turn = RICH + SPARE_INTERVALS
+    intervals = math.ceil(turns * per_turn)
     return model_on(changed, intervals)

@@ -253,11 +253,13 @@ def energy_norm(scene: Scene, grid: Grid) -> tuple[Array, Array]:
 
     The latter is 0 where the rod has no such strain.
     """
-    places = grid.points[grid.real].ravel()
-    elasticity = screw_matrices(scene, places)[0]
+    points = grid.points[grid.real]
+    places = points.ravel()
+    elasticity, _, _ = screw_matrices(scene, places)
     free = [strain in scene.strain.free for strain in STRAINS]
     exists = np.array(free, dtype=float)
-    weight = grid.weights[grid.real].ravel()
+    weights = grid.weights[grid.real]
+    weight = weights.ravel()
     compliance = exists / elasticity
     squares = compliance * weight[:, None]
     return elasticity, np.sqrt(squares)

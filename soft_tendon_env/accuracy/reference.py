@@ -444,7 +444,8 @@ def remaining_error(change: Array, before: Array | None) -> Array:
     ratio = np.minimum(last / change_before, LARGEST_RATIO)
     left = last * ratio / (1.0 - ratio)
     larger = np.maximum(last, left)
-    bound[:samples] = np.where(ratio < CONVERGING, SAFETY * left, larger)
+    safe = SAFETY * left
+    bound[:samples] = np.where(ratio < CONVERGING, safe, larger)
     return np.maximum.accumulate(bound)
 
 

@@ -61,7 +61,8 @@ def run(settings: Collect) -> None:
         of_arm = {"scene": scene, "fidelity": settings.fidelity}
         real = settings.opened(env, log, of_arm)
     length = episodes.model.length
-    print(f"{settings.motions} motions of {len(motions[0])} commands, {hold:.3g} s each")
+    commands = len(motions[0])
+    print(f"{settings.motions} motions of {commands} commands, {hold:.3g} s each")
     try:
         collect(real, motions, hold)
     finally:  # also after Ctrl-C

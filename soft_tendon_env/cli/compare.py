@@ -52,7 +52,8 @@ def play(settings: Settings, tasks: Sequence[str], policies: tuple[str, ...], ou
         experiments = {}
         for task in tasks:
             arms[task] = comparison.shared_arms(settings, task, files[task])
-            experiments[task] = comparison.compare(settings, task, arms[task], folder / "cells")
+            cells = folder / "cells"
+            experiments[task] = comparison.compare(settings, task, arms[task], cells)
         writable_folder(folder)
     from soft_tendon_env.evaluation.pictures import draw_errors
 

@@ -86,7 +86,8 @@ def export_arm(settings: Export) -> None:
 
     with mistakes():
         scene = load_scene(settings.agent_or_scene)
-        path = Path(settings.out or f"out/{Path(settings.agent_or_scene).stem}.xml")
+        name = Path(settings.agent_or_scene).stem
+        path = Path(settings.out or f"out/{name}.xml")
         writable_folder(path.parent)
     if settings.links is None:
         links = LINKS

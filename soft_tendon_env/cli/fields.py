@@ -83,7 +83,10 @@ def report(scene: Scene, fields: PassiveFields, bare: int) -> str:
     rows = []
     counts = np.array(fields.errors["fields"], dtype=int)
     for i, count in enumerate(counts):
-        errors = [measured_number(1e3 * fields.errors[kind][i]) for kind in USUAL]
+        errors = []
+        for kind in USUAL:
+            millimetres = 1e3 * fields.errors[kind][i]
+            errors.append(measured_number(millimetres))
         if count:
             value = fields.singular_values[count - 1]
             singular_value = f"{value:.2g}"

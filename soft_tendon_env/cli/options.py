@@ -247,7 +247,8 @@ def _as_given(kind: type[Configuration], key: Key, arguments: Sequence[str]) -> 
     option = _flag(kind, name)
     if name == "options" and rest:
         shortcut = f"--{rest[0]}"
-        if any(word.partition("=")[0] == shortcut for word in arguments):
+        words = [word.partition("=")[0] for word in arguments]
+        if shortcut in words:
             option = shortcut
             rest = rest[1:]
         else:

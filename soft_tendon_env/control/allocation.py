@@ -57,11 +57,16 @@ def allocate(
     """
     size = gradient.size
     if rows is None:
-        rows = Rows(np.empty((0, size)), np.empty(0), np.empty(0))
+        no_matrix = np.empty((0, size))
+        no_bound = np.empty(0)
+        rows = Rows(no_matrix, no_bound, no_bound)
     nothing = np.zeros(size)
+    nearest = np.clip(nothing, least, greatest)
     no_multipliers = np.zeros(size + rows.least.size)
-    fallback = Allocation(np.clip(nothing, least, greatest), no_multipliers, solved=False)
-    if not np.isfinite(hessian).all() or not np.isfinite(gradient).all():
+    fallback = Allocation(nearest, no_multipliers, solved=False)
+    has_hessian = np.isfinite(hessian).all()
+    has_gradient = np.isfinite(gradient).all()
+    if not has_hessian or not has_gradient:
         return fallback
     # the solver's tolerances are absolute: a problem of usual size
     unit = np.trace(hessian) / size
@@ -70,9 +75,14 @@ def allocate(
     upper = np.concatenate([greatest, rows.greatest])
     lower = np.concatenate([least, rows.least])
     inequalities = np.zeros(upper.size, dtype=np.int32)
+    usual_hessian = hessian / unit
+    usual_gradient = gradient / unit
     x, _, flag, info = daqp.solve(
-        hessian / unit, gradient / unit, rows.matrix, upper, lower, inequalities, dual_start=start
+        usual_hessian, usual_gradient, rows.matrix, upper, lower, inequalities, dual_start=start
     )
-    if flag not in OPTIMAL or not np.isfinite(x).all():
+    is_finite = np.isfinite(x).all()
+    if flag not in OPTIMAL or not is_finite:
         return fallback
-    return Allocation(np.clip(x, least, greatest), np.asarray(info["lam"]), True)
+    within = np.clip(x, least, greatest)
+    multipliers = np.asarray(info["lam"])
+    return Allocation(within, multipliers, solved=True)

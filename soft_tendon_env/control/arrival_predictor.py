@@ -65,14 +65,19 @@ class ArrivalPredictor:
                     continue
                 tension = self._acting(commands, timing, start, duration, count)
                 if now.input_error is not None:
-                    tension = now.input_error.gain * tension + now.input_error.offset
+                    error = now.input_error
+                    tension = error.gain * tension + error.offset
                 self._simulation.reset(q, q_dot, time=time, effects=effects, tension=tension[0])
                 rollout = corrected_rollout(self._simulation, tension, duration, now.force_error)
-                q, q_dot, effects = rollout.q[-1], rollout.q_dot[-1], rollout.effects[-1]
+                q = rollout.q[-1]
+                q_dot = rollout.q_dot[-1]
+                effects = rollout.effects[-1]
                 time += count * duration
             # the measured tip moves as the model's does
             if latency > 0.0:
-                moved = np.linalg.solve(self._model.tip_pose(now.q), self._model.tip_pose(q))
+                expected_pose = self._model.tip_pose(now.q)
+                later_pose = self._model.tip_pose(q)
+                moved = np.linalg.solve(expected_pose, later_pose)
                 tip_pose = now.tip_pose @ moved
         except FAILURES:
             return now

@@ -73,12 +73,16 @@ class StateSpace:
 
     def coordinates(self, mean: Array) -> tuple[Array, Array]:
         """Coordinates and rates (n,) of a state (m,)."""
-        return self.scale * mean[self.layout.z], self.scale * mean[self.layout.v]
+        z = mean[self.layout.z]
+        v = mean[self.layout.v]
+        return self.scale * z, self.scale * v
 
     def timing(self, mean: Array) -> Timing:
         """Latency and lag [s] of a state (m,)."""
         layout = self.layout
-        return Timing(float(mean[layout.latency][0]), float(mean[layout.lag][0]))
+        (latency,) = mean[layout.latency]
+        (lag,) = mean[layout.lag]
+        return Timing(float(latency), float(lag))
 
     def variances(self, **deviations: float | Array) -> Array:
         """Variances (m,) of a state from the standard deviations of all parts of its layout."""
@@ -102,11 +106,14 @@ class StateSpace:
 
     def input_error(self, mean: Array) -> InputError:
         """Errors of tensions in a state (m,): their gains and offsets."""
-        return InputError(1.0 + mean[self.layout.gain], mean[self.layout.offset])
+        gain = 1.0 + mean[self.layout.gain]
+        offset = mean[self.layout.offset]
+        return InputError(gain, offset)
 
     def friction(self, mean: Array, locality: Locality) -> TendonFriction:
         """Friction of the tendons in a state (m,)."""
-        loss = np.minimum(mean[self.layout.friction] * locality.loss, GREATEST_LOSS)
+        coefficient = mean[self.layout.friction]
+        loss = np.minimum(coefficient * locality.loss, GREATEST_LOSS)
         return TendonFriction(loss, locality.terms.actuation)
 
     def force_error(self, mean: Array, locality: Locality) -> ForceError:
@@ -119,11 +126,14 @@ class StateSpace:
         layout = self.layout
         terms = locality.terms
         tip = terms.tip_jacobian[3:]
-        _, q_dot = self.coordinates(mean)
-        turning = tip.T @ tip_acceleration(terms, q_dot, np.zeros_like(q_dot))
-        constant = locality.load_jacobian @ mean[layout.load] - mean[layout.payload] * turning
+        q, q_dot = self.coordinates(mean)
+        still = np.zeros_like(q_dot)
+        turning = tip.T @ tip_acceleration(terms, q_dot, still)
+        loads = locality.load_jacobian @ mean[layout.load]
+        weight = mean[layout.payload] * turning
+        constant = loads - weight
         stiffness = mean[layout.stiffness] * terms.stiffness
-        at_rest = constant - stiffness @ (self.scale * mean[layout.z])
+        at_rest = constant - stiffness @ q
         return ForceError(
             constant=constant,
             stiffness=stiffness,
@@ -140,8 +150,10 @@ def tip_acceleration(terms: Terms, q_dot: Array, q_ddot: Array) -> Array:
     It is that of each q_ddot (..., n).
     """
     twist = terms.tip_jacobian @ q_dot
-    at_constant_rates = terms.tip_bias[3:] + skew(twist[:3]) @ twist[3:]
-    return np.asarray(q_ddot @ terms.tip_jacobian[3:].T + at_constant_rates)
+    turning = skew(twist[:3])
+    at_constant_rates = terms.tip_bias[3:] + turning @ twist[3:]
+    by_rates = q_ddot @ terms.tip_jacobian[3:].T
+    return np.asarray(by_rates + at_constant_rates)
 
 
 def _bending_tension(model: Model) -> Array:
@@ -150,7 +162,9 @@ def _bending_tension(model: Model) -> Array:
     terms = model.terms(rest, rest)
     answer, *_ = np.linalg.lstsq(terms.stiffness, terms.actuation, rcond=None)
     # twice the energy that a unit of each stores; none, of a tendon along the axis
-    energy = (terms.actuation * answer).sum(axis=0)
+    works = terms.actuation * answer
+    energy = works.sum(axis=0)
     least = np.finfo(float).tiny
-    share = model.bending_energy / np.maximum(energy, least)
+    stored = np.maximum(energy, least)
+    share = model.bending_energy / stored
     return np.sqrt(share)

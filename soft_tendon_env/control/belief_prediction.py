@@ -151,7 +151,9 @@ class BeliefPrediction:
         bank = last.bank
         if acting.hypotheses is not None and bank is not None:
             # what lies between two hypotheses
-            between = UNIFORM * timing_bank.LATENCY_STEP * gain * acting.slopes[0].mean(axis=0)
+            slope = acting.slopes[0].mean(axis=0)
+            width = UNIFORM * timing_bank.LATENCY_STEP
+            between = width * gain * slope
             white_tension = np.hypot(white_tension, between)
             deviation = transition @ bank.deviation
             apart = gain * (acting.hypotheses - acting.steps)
@@ -165,9 +167,12 @@ class BeliefPrediction:
         covariance[moving, moving] += noise
         covariance[np.diag_indices_from(covariance)] += self._walks(point)
         mean = self._keep * point
-        mean[layout.z] = motion.q[-1] / self.space.scale
-        mean[layout.v] = motion.q_dot[-1] / self.space.scale
-        mean += transition @ (last.mean - point)
+        q_end = motion.q[-1]
+        q_dot_end = motion.q_dot[-1]
+        mean[layout.z] = q_end / self.space.scale
+        mean[layout.v] = q_dot_end / self.space.scale
+        deviation_of_mean = last.mean - point
+        mean += transition @ deviation_of_mean
         belief = Belief(
             mean=mean,
             covariance=covariance,
@@ -189,12 +194,16 @@ class BeliefPrediction:
         """
         layout = self.space.layout
         variance = self._even_walks.copy()
-        variance[layout.gain] += (self._gain_share * state[layout.gain]) ** 2
-        variance[layout.offset] += (self._offset_share * state[layout.offset]) ** 2
-        forces = state[layout.load].reshape(-1, 3)
-        growth = self._load_share * np.linalg.norm(forces, axis=1)
-        growth = np.minimum(growth, self._load_most)
-        variance[layout.load] += np.repeat(growth, 3) ** 2
+        gain_walk = self._gain_share * state[layout.gain]
+        offset_walk = self._offset_share * state[layout.offset]
+        loads = state[layout.load]
+        forces = loads.reshape(-1, 3)
+        sizes = np.linalg.norm(forces, axis=1)
+        growth = np.minimum(self._load_share * sizes, self._load_most)
+        load_walk = np.repeat(growth, 3)  # of each component
+        variance[layout.gain] += gain_walk**2
+        variance[layout.offset] += offset_walk**2
+        variance[layout.load] += load_walk**2
         return self.period * variance
 
     def _start(self, belief: Belief) -> PeriodStart:
@@ -253,10 +262,14 @@ class BeliefPrediction:
 
         These are a mean over all coordinates, in units of those that bend the arm by 1 rad.
         """
-        change = (motion.q_dot[-1] - motion.q_dot[0]) / self.period
+        q_dot_begin = motion.q_dot[0]
+        q_dot_end = motion.q_dot[-1]
+        change = (q_dot_end - q_dot_begin) / self.period
         shares = last.locality.terms.mass @ change / self._force_unit
-        inertial = self._inertial * np.sqrt(np.mean(shares**2))
-        return np.hypot(self._white_force, inertial) * self._force_unit
+        mean_square = np.mean(shares**2)
+        inertial = self._inertial * np.sqrt(mean_square)
+        deviation = np.hypot(self._white_force, inertial)
+        return deviation * self._force_unit
 
     def _transition(self, start: PeriodStart, motion: PeriodMotion, acting: ActingTension) -> Array:
         """Transition F (m, m) of deviations over a period.
@@ -269,11 +282,14 @@ class BeliefPrediction:
         tip = terms.tip_jacobian[3:]
         friction = start.force_error.friction
         # means of the steps (S, n)
-        q = 0.5 * (motion.q[1:] + motion.q[:-1])
+        q_begin = motion.q[:-1]
+        q_end = motion.q[1:]
+        q = 0.5 * (q_end + q_begin)
         q_dot = np.diff(motion.q, axis=0) / self._step
         q_ddot = np.diff(motion.q_dot, axis=0) / self._step
         acceleration = tip_acceleration(terms, start.q_dot, q_ddot)
-        direction = sliding_direction(friction.rates(q_dot))
+        tendon_rates = friction.rates(q_dot)
+        direction = sliding_direction(tendon_rates)
         tension = np.maximum(acting.pull, 0.0)
         taken = locality.loss * direction * tension  # (S, n_a) by a coefficient
         # generalised forces (S, n) by factors, mass and coefficient
@@ -290,15 +306,19 @@ class BeliefPrediction:
         transition[moving, moving] = motion.by_state
         transition[moving, layout.offset] = by_tension
         by_gain = np.einsum("sit,st->it", motion.by_tension, acting.steps)
+        by_load = by_force @ locality.load_jacobian
         transition[moving, layout.gain] = by_gain
-        transition[moving, layout.load] = by_force @ locality.load_jacobian
+        transition[moving, layout.load] = by_load
         for column, force in forces.items():
-            transition[moving, column] = np.einsum("sin,sn->i", motion.by_force, force)
+            by_factor = np.einsum("sin,sn->i", motion.by_force, force)
+            transition[moving, column] = by_factor
         if start.belief.bank is None:
             timing = slice(layout.latency.start, layout.lag.stop)
             slopes = start.input_error.gain * acting.slopes
-            transition[moving, timing] = np.einsum("sit,pst->ip", motion.by_tension, slopes)
-        return transition * self._keep[:, None]
+            by_timing = np.einsum("sit,pst->ip", motion.by_tension, slopes)
+            transition[moving, timing] = by_timing
+        kept = self._keep[:, None]
+        return transition * kept
 
 
 def _period_motion(rollout: Rollout, unit: Array) -> PeriodMotion:

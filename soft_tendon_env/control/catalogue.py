@@ -112,7 +112,8 @@ class ControllerRegistry(Registry[Entry]):
         """Add a controller of the task that the details name, see Registry."""
         if not name:
             raise TypeError("the name of a controller should be a text, not ''")
-        return super().add(f"{details.get('task', '')}/{name}", thing, module, **details)
+        task = details.get("task", "")
+        return super().add(f"{task}/{name}", thing, module, **details)
 
 
 def _checked_controller(
@@ -307,7 +308,8 @@ def _shape_predictive(
     **tuning: Any,
 ) -> Controller:
     """Predictive control of shapes, which tensions hold: they need no governor."""
-    return Predictive(model, limits, period, objectives or Shape(model), Tuning(**tuning))
+    objective = objectives or Shape(model)
+    return Predictive(model, limits, period, objective, Tuning(**tuning))
 
 
 SHAPE = {"horizon": 8, "smoothness": 0.3}

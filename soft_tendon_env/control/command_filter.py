@@ -63,14 +63,20 @@ def mean_weights(
     """
     # ages of the commands, the newest last: when the step of each arrives
     ages = period * np.arange(history, 0, -1)
-    lag = np.maximum(np.asarray(timing.lag)[..., None], LEAST_LAG)
-    arrival = np.asarray(timing.latency)[..., None] - ages
-    since = np.asarray(start)[..., None] - arrival
+    lags = np.asarray(timing.lag)
+    latencies = np.asarray(timing.latency)
+    starts = np.asarray(start)
+    # a last axis for the commands
+    lag = np.maximum(lags[..., None], LEAST_LAG)
+    arrival = latencies[..., None] - ages
+    since = starts[..., None] - arrival
     if duration > 0.0:
         before = _ramp_response(since, lag)
-        steps = (_ramp_response(since + duration, lag) - before) / duration
+        after = _ramp_response(since + duration, lag)
+        steps = (after - before) / duration
     else:
-        steps = -np.expm1(-np.maximum(since, 0.0) / lag)
+        since_arrival = np.maximum(since, 0.0)
+        steps = -np.expm1(-since_arrival / lag)
     steps[..., 0] = 1.0  # the eldest has acted since long before
     weights = steps.copy()
     weights[..., :-1] -= steps[..., 1:]
@@ -81,14 +87,17 @@ def weight_slopes(
     timing: Timing, period: float, history: int, start: float | Array, duration: float
 ) -> Timing:
     """Derivatives [1/s] of `mean_weights` by latency and by lag, by central differences."""
-    arguments = period, history, start, duration
+
+    def weights(displaced: Timing) -> Array:
+        return mean_weights(displaced, period, history, start, duration)
+
     width = 2.0 * STEP
     later = timing._replace(latency=timing.latency + STEP)
     sooner = timing._replace(latency=timing.latency - STEP)
-    by_latency = mean_weights(later, *arguments) - mean_weights(sooner, *arguments)
+    by_latency = weights(later) - weights(sooner)
     # a lag may be none: its difference is one-sided
     slower = timing._replace(lag=timing.lag + width)
-    by_lag = mean_weights(slower, *arguments) - mean_weights(timing, *arguments)
+    by_lag = weights(slower) - weights(timing)
     return Timing(by_latency / width, by_lag / width)
 
 
@@ -109,7 +118,8 @@ def lagged_plan(lag: float, interval: float, intervals: int) -> tuple[Array, Arr
     # the command of an interval is reached to 1 - s by its end, and forgotten after it
     later = share * reached * powers
     for k in range(1, intervals):
-        by_command[k, :k] = later[:k][::-1]
+        earlier = later[:k]
+        by_command[k, :k] = earlier[::-1]
     return by_command, by_start
 
 

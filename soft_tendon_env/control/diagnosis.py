@@ -91,4 +91,6 @@ def _total_deviation(layout: Layout, covariance: Array) -> Array:
     """Standard deviations (3,) of the sum of the loads."""
     axes = layout.load.stop - layout.load.start
     summed = np.tile(np.eye(3), axes // 3)
-    return np.sqrt(np.diag(summed @ covariance[layout.load, layout.load] @ summed.T))
+    of_loads = covariance[layout.load, layout.load]
+    of_sum = summed @ of_loads @ summed.T
+    return np.sqrt(np.diag(of_sum))

@@ -35,7 +35,8 @@ def implicit_inertia(terms: Terms, period: float) -> Array:
     """A = M + h D + h^2 G (n, n) of the implicit step over a period."""
     stiffness = terms.stiffness + terms.external_stiffness
     damping = terms.damping + terms.external_damping
-    return np.asarray(terms.mass + period * (damping + period * stiffness))
+    resistance = damping + period * stiffness
+    return np.asarray(terms.mass + period * resistance)
 
 
 def implicit_step(terms: Terms, q_dot: Array, period: float) -> ImplicitStep:
@@ -101,7 +102,8 @@ def discrete_gains(
     """
     checked_number("period", period, LEAST_TIME, "a positive number")
     natural = natural_frequency(settling_time, damping)
-    split = np.emath.sqrt(damping**2 - 1.0) * np.array([1.0, -1.0])
+    signs = np.array([1.0, -1.0])
+    split = np.emath.sqrt(damping**2 - 1.0) * signs
     poles = natural * (split - damping)
     if integral_time is not None:
         checked_number("integral_time", integral_time, LEAST_TIME, "a positive number, or None")

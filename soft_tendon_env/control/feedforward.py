@@ -92,7 +92,8 @@ class StaticFeedforward(ModelController):
         effort = EFFORT**2 * np.trace(curvature)
         error = self.error(equilibrium, reference)
         distance = max(float(np.linalg.norm(error)), LEAST_ERROR)
-        stride = error * min(1.0, STRIDE * self.model.length / distance)
+        longest = STRIDE * self.model.length
+        stride = error * min(1.0, longest / distance)
         allocation = allocate(
             curvature + effort * np.eye(u.size),
             effort * (u - self.preferred) - task.T @ stride,
@@ -124,7 +125,9 @@ class StaticFeedforward(ModelController):
         """Square of the error [m^2], and of the tensions by the weight of their effort."""
         error = self.error(equilibrium, reference)
         excess = equilibrium.tension - self.preferred
-        return float(error @ error + effort * np.sum(excess**2))
+        square = error @ error
+        excess_square = np.sum(excess**2)
+        return float(square + effort * excess_square)
 
 
 @dataclass(frozen=True)
@@ -151,8 +154,10 @@ class ReferenceGovernor:
         static_memory, controller_memory = memory or (None, None)
         nearest: StaticMemory = self.statics.act(now, static_memory).memory
         reference = now.reference
-        distance = float(np.linalg.norm(self.statics.error(nearest, reference)))
-        beyond = max(distance - MARGIN * self.statics.model.length, 0.0)
+        error = self.statics.error(nearest, reference)
+        distance = float(np.linalg.norm(error))
+        margin = MARGIN * self.statics.model.length
+        beyond = max(distance - margin, 0.0)
         if beyond > 0.0:
             share = beyond / distance
             reference = self.statics.objective.moved_back(

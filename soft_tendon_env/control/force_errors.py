@@ -58,10 +58,12 @@ class TendonFriction(NamedTuple):
 
     def damping(self, tension: Array, q_dot: Array, speed: float) -> Array:
         """Damping matrices (N, n, n) under tensions (N, n_a) [N] at rates (N, n) or (n,)."""
-        rate = np.maximum(np.abs(self.rates(q_dot)), LEAST_RATE)
+        speed_of_tendons = np.abs(self.rates(q_dot))
+        rate = np.maximum(speed_of_tendons, LEAST_RATE)
         taken = self.loss * np.maximum(tension, 0.0)
         coefficient = taken * sliding_direction(rate, speed) / rate
-        return np.asarray((self.pull * coefficient[:, None]) @ self.pull.T)
+        friction = self.pull * coefficient[:, None]
+        return np.asarray(friction @ self.pull.T)
 
 
 class ForceError(NamedTuple):
@@ -98,17 +100,22 @@ class ArmGeometry:
         self._model = model
         grid = model.grid
         length = grid.length[grid.real]
-        self._points = grid.points[grid.real].ravel()
+        points = grid.points[grid.real]
+        self._points = points.ravel()
         self._weights = np.repeat(length / POINTS, POINTS)
         # at the nearest borders, of intervals before which the integral is whole
-        ends = grid.start[grid.real] + length
+        starts = grid.start[grid.real]
+        ends = starts + length
         asked = model.length * np.array(PLACES)
-        nearest = np.abs(ends - asked[:, None]).argmin(axis=1)
+        away = np.abs(ends - asked[:, None])
+        nearest = away.argmin(axis=1)
         borders = np.unique(nearest)
         self.places = np.minimum(ends[borders], model.length)
-        counts = POINTS * (borders + 1)
+        points_before = POINTS * (borders + 1)
         # (places, points) 1 for points before a place, else 0
-        self._before = (np.arange(self._points.size) < counts[:, None]).astype(float)
+        point_numbers = np.arange(self._points.size)
+        is_before = point_numbers < points_before[:, None]
+        self._before = is_before.astype(float)
 
     def at(self, q: Array) -> BentArm:
         """The matrix J^T, and how far the rod is bent, at coordinates q (n,).
@@ -116,24 +123,34 @@ class ArmGeometry:
         Raises StrainLimitError.
         """
         strain, strain_slope = self._model.strain_at(q, self._points)
-        curvature = np.hypot(strain[:, 1], strain[:, 2])
+        bend_y = strain[:, 1]
+        bend_z = strain[:, 2]
+        curvature = np.hypot(bend_y, bend_z)
+        bending = self._weights @ curvature
         sections = np.concatenate([self._points, self.places])
         poses = self._model.backbone_at(q, sections)
         count = self._points.size
         rotation = poses[:count, :3, :3]
+        angular_slope = strain_slope[:, :3]
+        linear_slope = strain_slope[:, 3:]
         weighted = rotation * self._weights[:, None, None]
-        turns = weighted @ strain_slope[:, :3]
-        stretches = weighted @ strain_slope[:, 3:]
+        turns = weighted @ angular_slope
+        stretches = weighted @ linear_slope
         positions = poses[:, :3, 3]
-        levers = positions[count:, None] - positions[:count]
+        of_points = positions[:count]
+        of_places = positions[count:]
+        levers = of_places[:, None] - of_points
         levers *= self._before[:, :, None]
         # sums over all points before a place: rows (3 places,), as one product each
         rows = 3 * self.places.size
-        crosses = np.moveaxis(skew(levers), 1, 2).reshape(rows, 3 * count)
-        turned = -crosses @ turns.reshape(3 * count, q.size)
-        stretched = self._before @ stretches.reshape(count, 3 * q.size)
+        columns = 3 * count
+        crosses_by_point = np.moveaxis(skew(levers), 1, 2)
+        crosses = crosses_by_point.reshape(rows, columns)
+        turned = -crosses @ turns.reshape(columns, q.size)
+        stretches_by_point = stretches.reshape(count, 3 * q.size)
+        stretched = self._before @ stretches_by_point
         velocity = stretched.reshape(rows, q.size) + turned
-        return BentArm(load_jacobian=velocity.T, bending=float(self._weights @ curvature))
+        return BentArm(load_jacobian=velocity.T, bending=float(bending))
 
 
 def holding_matrix(terms: Terms) -> Array:
@@ -205,7 +222,8 @@ def _corrected(rollout: Rollout, error: ForceError, period: float) -> Rollout:
     stiffness, damping, inertia = (
         np.broadcast_to(part, every) for part in (error.stiffness, error.damping, error.inertia)
     )
-    mean = np.concatenate([stiffness, np.zeros(every)], axis=2) / 2.0
+    of_rates = np.zeros(every)
+    mean = np.concatenate([stiffness, of_rates], axis=2) / 2.0
     # within a period rates may rise and fall: their mean is the change of the coordinates
     change = np.concatenate([damping, inertia], axis=2) / period
     by_start = mean - change
@@ -216,19 +234,27 @@ def _corrected(rollout: Rollout, error: ForceError, period: float) -> Rollout:
     by_force = rollout.by_force @ np.linalg.inv(feedback)
     for k, by_remainder in enumerate(by_force):
         start = motion[k] + moved[k]
-        unforced = rollout.by_state[k] @ moved[k] - rollout.by_tension[k] @ error.held
-        force = error.constant - by_start[k] @ start - by_end[k] @ (motion[k + 1] + unforced)
+        unheld = rollout.by_tension[k] @ error.held
+        unforced = rollout.by_state[k] @ moved[k] - unheld
+        end = motion[k + 1] + unforced
+        explained = by_start[k] @ start
+        force = error.constant - explained - by_end[k] @ end
         moved[k + 1] = unforced + by_remainder @ force
-    tip_pose = rollout.tip_pose.copy()
-    for k in range(1, len(tip_pose)):
-        tip_pose[k] = moved_pose(tip_pose[k], rollout.tip_jacobian[k] @ moved[k, :n])
     if not np.isfinite(moved).all():
         raise np.linalg.LinAlgError("the force that the model lacks leaves it no motion")
+    q_moved = moved[:, :n]
+    q_dot_moved = moved[:, n:]
+    tip_pose = rollout.tip_pose.copy()
+    for k in range(1, len(tip_pose)):
+        twist = rollout.tip_jacobian[k] @ q_moved[k]
+        tip_pose[k] = moved_pose(tip_pose[k], twist)
+    force_by_state = by_start + by_end @ rollout.by_state
+    force_by_tension = by_end @ rollout.by_tension
     return rollout._replace(
-        q=rollout.q + moved[:, :n],
-        q_dot=rollout.q_dot + moved[:, n:],
+        q=rollout.q + q_moved,
+        q_dot=rollout.q_dot + q_dot_moved,
         tip_pose=tip_pose,
-        by_state=rollout.by_state - by_force @ (by_start + by_end @ rollout.by_state),
-        by_tension=rollout.by_tension - by_force @ (by_end @ rollout.by_tension),
+        by_state=rollout.by_state - by_force @ force_by_state,
+        by_tension=rollout.by_tension - by_force @ force_by_tension,
         by_force=by_force,
     )

@@ -82,7 +82,8 @@ class InitialBelief:
         columns[:, layout.stiffness] = -terms.elastic_force[:, None]
         stiffness = terms.stiffness + terms.external_stiffness
         sag = np.eye(layout.size)
-        sag[layout.z] += np.linalg.solve(stiffness, columns) / self.space.scale[:, None]
+        static = np.linalg.solve(stiffness, columns)
+        sag[layout.z] += static / self.space.scale[:, None]
         motion = layout.v.stop
         return Belief(
             mean=mean,

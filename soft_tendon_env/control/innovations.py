@@ -79,8 +79,10 @@ def layout_of(model: Model, places: int) -> Layout:
     """Layout of the state of a model's filter, with loads at so many places."""
     n = model.coordinate_count
     n_a = model.tendon_count
-    borders = np.cumsum([0, n, n, n_a, n_a, 6, 3 * places, 1, 1, 1, 1, 1, 1]).tolist()
-    return Layout(*map(slice, borders[:-1], borders[1:]))
+    sizes = [n, n, n_a, n_a, 6, 3 * places, 1, 1, 1, 1, 1, 1]
+    ends = np.cumsum(sizes).tolist()
+    starts = [0, *ends[:-1]]
+    return Layout(*map(slice, starts, ends))
 
 
 def noise_variances(model: Model, noise: SensorNoise, sensors: int) -> dict[str, Array]:
@@ -111,7 +113,9 @@ def noise_variances(model: Model, noise: SensorNoise, sensors: int) -> dict[str,
         "strain": noise.of_strains(sensors),
         "strain_rate": noise.of_strain_rates(sensors),
     }
-    strain_unit = np.tile(np.repeat([1.0 / length, 1e-2], 3), sensors)
+    angular_and_linear = [1.0 / length, 1e-2]
+    unit_of_sensor = np.repeat(angular_and_linear, 3)
+    strain_unit = np.tile(unit_of_sensor, sensors)
     model_deviations: dict[str, Any] = {
         "tip_pose": tip_twist,
         "tip_twist": RATE * tip_twist,
@@ -122,7 +126,8 @@ def noise_variances(model: Model, noise: SensorNoise, sensors: int) -> dict[str,
     variances = dict[str, Array]()
     for name, deviation in sensor_deviations.items():
         sensor_variance = np.asarray(deviation) ** 2
-        variances[name] = sensor_variance + np.asarray(model_deviations[name]) ** 2
+        model_variance = np.asarray(model_deviations[name]) ** 2
+        variances[name] = sensor_variance + model_variance
     return variances
 
 
@@ -198,7 +203,10 @@ class SensorModel:
             innovations.append(innovation)
             rows.append(row)
             variances.append(variance)
-        return np.concatenate(innovations), np.vstack(rows), np.concatenate(variances)
+        innovation = np.concatenate(innovations)
+        slope = np.vstack(rows)
+        variance = np.concatenate(variances)
+        return innovation, slope, variance
 
     def _expected(self, q: Array, q_dot: Array, terms: Terms) -> dict[str, tuple[Array, Array]]:
         """Expected measurements besides the tip's pose, with Jacobians (k, n).

@@ -180,14 +180,16 @@ class ExtendedKalmanFilter:
             if prediction is None or update is None:
                 break
             updated = update.belief
-            smoothed = last.mean + last.covariance @ (prediction.transition.T @ update.score)
+            score_before = prediction.transition.T @ update.score
+            smoothed = last.mean + last.covariance @ score_before
             if bank is not None and weight is not None and updated.bank is not None:
                 before = weight
                 weight = updated.bank.sharp_weight
                 smoothed += bank.deviation @ weight
                 regrouped = 0.5 * np.abs(weight - before).sum()
             smoothed = self._within_bounds(smoothed)
-            moved = np.abs(smoothed - point)[~known] / deviation[~known]
+            change = np.abs(smoothed - point)
+            moved = change[~known] / deviation[~known]
             if regrouped < SAME_WEIGHT and moved.max() < SAME_STATE:
                 break
             point = smoothed
@@ -259,8 +261,11 @@ class ExtendedKalmanFilter:
             doubt = max(1.0, _least_square(inverse_root, innovations))
             gain[moving:] /= doubt
         moved = deviations + gain @ innovations
-        likely = innovations[:, 0] if bank is None else innovations @ bank.sharp_weight
-        score = slope.T @ (inverse_root.T @ (inverse_root @ likely))
+        likely = innovations[:, 0]
+        if bank is not None:
+            likely = innovations @ bank.sharp_weight
+        whitened = inverse_root @ likely
+        score = slope.T @ (inverse_root.T @ whitened)
         change = moved[:, 0]
         if bank is not None:
             change = moved @ bank.weight
@@ -269,7 +274,8 @@ class ExtendedKalmanFilter:
         rest = np.eye(mean.size) - gain @ slope
         erring = (gain * variance) @ gain.T
         if left_out is not None:
-            erring[moving:, moving:] += gain[moving:] @ left_out @ gain[moving:].T
+            of_motion = gain[moving:]
+            erring[moving:, moving:] += of_motion @ left_out @ of_motion.T
         covariance = rest @ covariance @ rest.T + erring
         after = self._within_bounds(after)
         is_plausible = np.abs(after).max() < IMPLAUSIBLE  # not of NaN either
@@ -327,7 +333,8 @@ class ExtendedKalmanFilter:
 
     def _within_bounds(self, mean: Array) -> Array:
         """State (m,) that is cut off at its bounds."""
-        return np.asarray(np.minimum(np.maximum(mean, self._least), self._most))
+        at_least = np.maximum(mean, self._least)
+        return np.asarray(np.minimum(at_least, self._most))
 
 
 def _timing_spread(bank: timing_bank.Bank | None) -> float:
@@ -366,18 +373,21 @@ def _plausible(
     covariance = predicted.covariance
     inverse_root = _inverse_root(slope, slope @ covariance, noise)
     whitened = inverse_root @ innovations
-    best = int((whitened**2).sum(axis=0).argmin())
-    jump = slope @ predicted.jump
+    squares = (whitened**2).sum(axis=0)
+    best = int(squares.argmin())
+    jump = inverse_root @ (slope @ predicted.jump)
     # a command that comes at another time than is believed looks like a jump
     is_timed = _timing_spread(predicted.bank) < TIMED
-    if is_timed and _evidence(inverse_root @ jump, whitened[:, best]) > EVIDENCE:
-        covariance = covariance + predicted.jump @ predicted.jump.T
+    if is_timed and _evidence(jump, whitened[:, best]) > EVIDENCE:
+        covariance_of_jump = predicted.jump @ predicted.jump.T
+        covariance = covariance + covariance_of_jump
         inverse_root = _inverse_root(slope, slope @ covariance, noise)
     square = _least_square(inverse_root, innovations)
     if square > SURPRISE:
         motion = slice(len(predicted.noise))
+        growth = square / SURPRISE - 1.0
         covariance = covariance.copy()
-        covariance[motion, motion] += (square / SURPRISE - 1.0) * predicted.noise
+        covariance[motion, motion] += growth * predicted.noise
         inverse_root = _inverse_root(slope, slope @ covariance, noise)
     return covariance, inverse_root, square
 
@@ -390,10 +400,12 @@ def _evidence(jump: Array, innovation: Array) -> float:
 
         log ratio = (J^T w)^T (1 + J^T J)^-1 (J^T w) / 2 - log det (1 + J^T J) / 2
     """
-    information = np.eye(jump.shape[1]) + jump.T @ jump
+    prior = np.eye(jump.shape[1])
+    information = prior + jump.T @ jump
     root = np.linalg.cholesky(information)
     whitened = np.linalg.solve(root, jump.T @ innovation)
-    return float(0.5 * whitened @ whitened - np.log(np.diag(root)).sum())
+    log_determinant = np.log(np.diag(root)).sum()
+    return float(0.5 * whitened @ whitened - log_determinant)
 
 
 def _inverse_root(slope: Array, cross: Array, noise: Array) -> Array:

@@ -231,7 +231,9 @@ class TipPosition(TrackedObjective):
 
     def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
         way = _position(reference, time) - tip_pose[:3, 3]
-        return np.asarray(self.weight * (tip_pose[:3, :3].T @ way))
+        into_tip = tip_pose[:3, :3].T
+        seen_from_tip = into_tip @ way
+        return np.asarray(self.weight * seen_from_tip)
 
     def jacobian(self, tip_jacobian: Array) -> Array:
         return self.weight * tip_jacobian[3:]
@@ -240,13 +242,18 @@ class TipPosition(TrackedObjective):
         target = _position(now.reference, time)
         next_target = _position(now.reference, time + period)
         into_tip = now.tip_pose[:3, :3].T
-        angular, linear = np.split(terms.tip_jacobian @ now.q_dot, 2)
+        tip_position = now.tip_pose[:3, 3]
+        error = into_tip @ (target - tip_position)
+        velocity = into_tip @ (next_target - target) / period
+        twist = terms.tip_jacobian @ now.q_dot
+        angular, linear = np.split(twist, 2)
+        # the frame turns, the target's axes do not
+        bias = terms.tip_bias[3:] + np.cross(angular, linear)
         return Aim(
-            error=self.weight * (into_tip @ (target - now.tip_pose[:3, 3])),
-            velocity=self.weight * (into_tip @ (next_target - target) / period),
+            error=self.weight * error,
+            velocity=self.weight * velocity,
             jacobian=self.jacobian(terms.tip_jacobian),
-            # the frame turns, the target's axes do not
-            bias=self.weight * (terms.tip_bias[3:] + np.cross(angular, linear)),
+            bias=self.weight * bias,
         )
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
@@ -288,10 +295,13 @@ class TipDirection(Objective):
 
     def linear_error(self, posture: Posture) -> LinearError:
         if self.direction is None:
-            axis = _pose(posture.reference, posture.ahead)[:3, 0]
+            target = _pose(posture.reference, posture.ahead)
+            axis = target[:3, 0]
         else:
-            axis = np.array(self.direction) / np.linalg.norm(self.direction)
-        x, y, z = posture.tip_pose[:3, :3].T @ axis
+            direction = np.array(self.direction)
+            axis = direction / np.linalg.norm(direction)
+        into_tip = posture.tip_pose[:3, :3].T
+        x, y, z = into_tip @ axis
         sine = np.hypot(y, z)
         # the axis (0, -z, y) / sine turns the tip's x axis to the direction; where they are
         # parallel or opposite, any axis across does
@@ -299,7 +309,9 @@ class TipDirection(Objective):
         if sine > 0.0:
             turn = np.array([-z, y]) / sine
         angle = np.arctan2(sine, x)
-        return LinearError(self.weight * angle * turn, self.weight * posture.tip_jacobian[1:3])
+        error = self.weight * angle * turn
+        jacobian = self.weight * posture.tip_jacobian[1:3]
+        return LinearError(error, jacobian)
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
         if self.direction is not None:
@@ -322,9 +334,11 @@ class Shape(TrackedObjective):
 
     def __init__(self, model: Model, weight: float = 1.0) -> None:
         n = model.coordinate_count
-        stiffness = model.terms(np.zeros(n), np.zeros(n)).stiffness
+        rest = np.zeros(n)
+        stiffness = model.terms(rest, rest).stiffness
         # root of the stiffness: the square of the error is the energy, in units of bending
-        root = np.linalg.cholesky(stiffness / model.bending_energy).T
+        in_units = stiffness / model.bending_energy
+        root = np.linalg.cholesky(in_units).T
         self._root = np.asarray(
             checked_weight(weight) * (0.5 * model.length * root), dtype=np.float64
         )
@@ -339,7 +353,8 @@ class Shape(TrackedObjective):
 
     def aim(self, now: ControllerInput, terms: Terms, time: float, period: float) -> Aim:
         error = self.error(now.q, now.tip_pose, now.reference, time)
-        next_error = self.error(now.q, now.tip_pose, now.reference, time + period)
+        next_time = time + period
+        next_error = self.error(now.q, now.tip_pose, now.reference, next_time)
         return Aim(
             error=error,
             velocity=(next_error - error) / period,

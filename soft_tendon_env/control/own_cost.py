@@ -136,7 +136,8 @@ def _check_shapes(objective: Objective, model: Model, told: Sequence[str], where
     linear: LinearError = objective.linear_error(posture)
     shapes = [np.shape(values) for values in linear]
     rows = shapes[0]
-    if len(shapes) != 2 or len(rows) != 1 or shapes[1] != (*rows, q.size):
+    is_pair = len(shapes) == 2 and len(rows) == 1
+    if not is_pair or shapes[1] != (*rows, q.size):
         raise ValueError(
             f"{where} is {type(objective).__name__}, whose linear_error has the shapes {shapes}: it"
             f" should be LinearError(error (k,), jacobian (k, {q.size}))"

@@ -76,13 +76,16 @@ def shape_tension(model: Model, q: Array, q_dot: Array, target: ShapeTarget, gai
         TypeError: for what are no arrays.
     """
     shape = (model.coordinate_count,)
+    checked_q = checked_array("q", q, shape)
     q_bar = model.rest_coordinates(target.tension)
-    error = q_bar - checked_array("q", q, shape)
+    error = q_bar - checked_q
     q_bar_dot = model.rest_coordinates(target.tension_rate)
-    error_dot = q_bar_dot - checked_array("q_dot", q_dot, shape)
+    checked_q_dot = checked_array("q_dot", q_dot, shape)
+    error_dot = q_bar_dot - checked_q_dot
     push = gains.kd * error_dot + gains.kp * error
     if not model.arm.strain.is_tensions:
-        push = model.terms(q, q_dot).actuation.T @ push
+        actuation = model.terms(q, q_dot).actuation
+        push = actuation.T @ push
     return np.asarray(target.tension + push)
 
 
@@ -139,7 +142,9 @@ def tip_pose_tension(
     twist = terms.tip_jacobian @ q_dot
     twist_bar, acceleration_bar = seen_from(terms.tip_pose, twist, target)
     error = pose_error(terms.tip_pose, target.pose)
-    acceleration = acceleration_bar + gains.kd * (twist_bar - twist) + gains.kp * error
+    twist_error = twist_bar - twist
+    damped = acceleration_bar + gains.kd * twist_error
+    acceleration = damped + gains.kp * error
     return accelerating_tension(terms, q_dot, slice(0, 6), acceleration, left_inverse)
 
 
@@ -178,17 +183,21 @@ def accelerating_tension(
     """
     J = terms.tip_jacobian[rows]
     J_over_M = np.linalg.solve(terms.mass, J.T).T  # J M^-1
-    rank = np.linalg.matrix_rank(J_over_M @ terms.actuation, rtol=DEPENDENT)
+    by_tension = J_over_M @ terms.actuation
+    rank = np.linalg.matrix_rank(by_tension, rtol=DEPENDENT)
     if rank < acceleration.size:
         raise ValueError(
             f"tensions accelerate the tip in {rank} of {acceleration.size} directions at these"
             " coordinates: too few for (39)"
         )
-    resistance = terms.bias + terms.damping @ q_dot + terms.elastic_force - terms.external_force
+    internal = terms.bias + terms.damping @ q_dot + terms.elastic_force
+    resistance = internal - terms.external_force
     # Omega = (J M^-1 J^T)^-1, the inertia of the tip
     driven = acceleration + J_over_M @ resistance - terms.tip_bias[rows]
-    wrench = np.linalg.solve(J_over_M @ J.T, driven)
-    return np.asarray(left_inverse(terms) @ (J.T @ wrench))
+    mobility = J_over_M @ J.T
+    wrench = np.linalg.solve(mobility, driven)
+    force = J.T @ wrench
+    return np.asarray(left_inverse(terms) @ force)
 
 
 class PaperTipPose(ModelController):

@@ -102,23 +102,29 @@ class Predictive(ModelController):
         tuning: Tuning = DEFAULT,
     ) -> None:
         super().__init__(model, limits, period)
-        self.objectives = tuple(objectives) if isinstance(objectives, Sequence) else (objectives,)
+        if isinstance(objectives, Sequence):
+            self.objectives = tuple(objectives)
+        else:
+            self.objectives = (objectives,)
         self.observer = tuning.observer
         self.horizon = tuning.horizon
         self._hold = tuning.hold
         self._interval = tuning.hold * period
         # factor by which errors are planned to fall in an interval
-        self._decay = np.exp(-DECADES * self._interval / tuning.settling_time)
+        decades = DECADES * self._interval / tuning.settling_time
+        self._decay = np.exp(-decades)
         # changes of a plan (N n_a,) from interval to interval, and the weight of plan and changes
         size = self.least.size
         plan_size = self.horizon * size
-        self._change = np.eye(plan_size) - np.eye(plan_size, k=-size)
+        before = np.eye(plan_size, k=-size)
+        self._change = np.eye(plan_size) - before
         self._effort = tuning.effort**2
         self._smoothness = tuning.smoothness**2
         # square of the changes of a plan, a quadratic form of it
         self._roughness = self._change.T @ self._change
         rest = np.zeros(model.coordinate_count)
-        self._inertia = implicit_inertia(model.terms(rest, rest), period)
+        terms_at_rest = model.terms(rest, rest)
+        self._inertia = implicit_inertia(terms_at_rest, period)
         self._simulation = Simulation(model)
         self._has_states = model.arm.effects.state.size > 0
 
@@ -134,7 +140,8 @@ class Predictive(ModelController):
             effects = None if memory is None else memory.effects
             self._simulation.reset(now.q, now.q_dot, time=now.time, effects=effects)
             acting_plan = self._acting(plan, error, now)
-            sliding_speed = SLIDING_SPEED * (1.0 + BLUR * now.lead / self.period)
+            blur = BLUR * now.lead / self.period
+            sliding_speed = SLIDING_SPEED * (1.0 + blur)
             rollout = corrected_rollout(
                 self._simulation, acting_plan, self._interval, now.force_error, sliding_speed
             )
@@ -145,7 +152,8 @@ class Predictive(ModelController):
         better = plan + allocation.x.reshape(plan.shape)
         rates, effects = None, None
         if self._has_states or now.input_error is None:
-            rates, effects = self._predicted(self._acting(better, error, now)[0])
+            first, *_ = self._acting(better, error, now)
+            rates, effects = self._predicted(first)
         improved = Plan(
             tension=better,
             multipliers=allocation.multipliers,
@@ -168,7 +176,8 @@ class Predictive(ModelController):
         # of the tensions of an interval, a period is a share
         share = 1.0 / self._hold
         plan = memory.tension
-        later = np.vstack([plan[1:], plan[-1:]])
+        last_again = plan[-1:]
+        later = np.vstack([plan[1:], last_again])
         return (1.0 - share) * plan + share * later
 
     def _input_error(self, memory: Plan | None, now: ControllerInput) -> InputError:
@@ -176,7 +185,9 @@ class Predictive(ModelController):
         if now.input_error is not None:
             return now.input_error
         size = self.least.size
-        offset = np.zeros(size) if memory is None else self._observe(memory, now)
+        offset = np.zeros(size)
+        if memory is not None:
+            offset = self._observe(memory, now)
         return InputError(np.ones(size), offset)
 
     def _improvement(
@@ -197,23 +208,31 @@ class Predictive(ModelController):
         change = self._change @ tension
         change[: last.size] -= last
         unit = np.trace(hessian) / tension.size
-        caution = 1.0 + CAUTION * now.timing_spread / self.period
+        spread = now.timing_spread / self.period
+        caution = 1.0 + CAUTION * spread
         # a model that lacks a motion may let a bold plan excite it
         excess = min(max(now.surprise - 1.0, 0.0), 1.0)
         doubt = 1.0 + DOUBT * excess
         smoothness = (caution * doubt) ** 2 * self._smoothness
-        penalty = self._effort * np.eye(tension.size) + smoothness * self._roughness
+        effort = self._effort * np.eye(tension.size)
+        penalty = effort + smoothness * self._roughness
         hessian = hessian + unit * penalty
-        penalty_gradient = self._effort * tension + smoothness * (self._change.T @ change)
+        rough = self._change.T @ change
+        penalty_gradient = self._effort * tension + smoothness * rough
         gradient = gradient + unit * penalty_gradient
-        least = np.tile(self.least, self.horizon) - tension
-        greatest = np.tile(self.greatest, self.horizon) - tension
+        least_plan = np.tile(self.least, self.horizon)
+        greatest_plan = np.tile(self.greatest, self.horizon)
+        least = least_plan - tension
+        greatest = greatest_plan - tension
         rows = None
         if now.greatest_change is not None:
-            most = np.tile(self._hold * now.greatest_change, self.horizon)
+            per_interval = self._hold * now.greatest_change
+            most = np.tile(per_interval, self.horizon)
             # of the first interval it is the first period that is asked for
             most[: last.size] = now.greatest_change
-            rows = Rows(self._change, -most - change, most - change)
+            lowest = -most - change
+            highest = most - change
+            rows = Rows(self._change, lowest, highest)
         return allocate(hessian, gradient, least, greatest, multipliers, rows)
 
     def _predicted(self, tension: Array) -> tuple[Array | None, Array | None]:
@@ -239,15 +258,18 @@ class Predictive(ModelController):
         unexplained = now.q_dot - memory.rates
         push = memory.response.T @ self._inertia
         mobility = push @ memory.response
-        tension, *_ = np.linalg.lstsq(mobility, push @ unexplained, rcond=EXPLAINED)
-        return np.asarray(memory.disturbance + self.observer * tension)
+        momentum = push @ unexplained
+        tension, *_ = np.linalg.lstsq(mobility, momentum, rcond=EXPLAINED)
+        disturbance = memory.disturbance + self.observer * tension
+        return np.asarray(disturbance)
 
     def _acting(self, plan: Array, error: InputError, now: ControllerInput) -> Array:
         """Mean tensions (N, n_a) [N] of the intervals that a plan makes the actuators give."""
         tension = plan
         if now.actuators is not None:
             by_plan, by_start = self._lagged(now)
-            tension = by_plan @ plan + np.outer(by_start, now.actuators.tension)
+            from_start = np.outer(by_start, now.actuators.tension)
+            tension = by_plan @ plan + from_start
         return error.gain * tension + error.offset
 
     def _lagged(self, now: ControllerInput) -> tuple[Array, Array]:
@@ -261,23 +283,29 @@ class Predictive(ModelController):
         n = now.q.size
         size = gain.size
         N = self.horizon
-        linear = self._linear_errors(rollout, now)
+        plan_size = N * size
+        first, *later = self._linear_errors(rollout, now)
         # change of coordinates and rates by the tensions that act, interval by interval
-        change = np.zeros((2 * n, N * size))
+        change = np.zeros((2 * n, plan_size))
         slopes = list[Array]()
         remaining = list[Array]()
-        for k in range(N):
-            earlier = slice(k * size)  # tensions that have acted before
-            acting = slice(k * size, (k + 1) * size)
-            change[:, earlier] = rollout.by_state[k] @ change[:, earlier]
+        for k, linear in enumerate(later):
+            begin = k * size
+            earlier = slice(begin)  # tensions that have acted before
+            acting = slice(begin, begin + size)
+            before = change[:, earlier]
+            change[:, earlier] = rollout.by_state[k] @ before
             change[:, acting] = rollout.by_tension[k] * gain
-            slopes.append(linear[k + 1].jacobian @ change[:n])
-            planned = self._decay ** (k + 1) * linear[0].error
-            remaining.append(linear[k + 1].error - planned)
+            q_change = change[:n]
+            slopes.append(linear.jacobian @ q_change)
+            decay = self._decay ** (k + 1)
+            planned = decay * first.error
+            remaining.append(linear.error - planned)
         # by the tensions that act, then by those of the plan
         by_plan, _ = self._lagged(now)
         by_acting = np.concatenate(slopes).reshape(-1, N, size)
-        slope = np.einsum("ekt,kj->ejt", by_acting, by_plan).reshape(-1, N * size)
+        by_interval = np.einsum("ekt,kj->ejt", by_acting, by_plan)
+        slope = by_interval.reshape(-1, plan_size)
         errors = np.concatenate(remaining)
         return slope.T @ slope, -slope.T @ errors
 

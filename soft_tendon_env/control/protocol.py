@@ -136,8 +136,10 @@ class ModelController:
         if now.greatest_change is None:
             return self.least, self.greatest
         last = np.clip(now.tension, self.least, self.greatest)
-        least = np.maximum(self.least, last - now.greatest_change)
-        greatest = np.minimum(self.greatest, last + now.greatest_change)
+        lowest = last - now.greatest_change
+        highest = last + now.greatest_change
+        least = np.maximum(self.least, lowest)
+        greatest = np.minimum(self.greatest, highest)
         return least, greatest
 
     def hold(self, now: ControllerInput, memory: Any = None) -> ControllerOutput:

@@ -38,7 +38,8 @@ def inverse_pose(pose: Array) -> Array:
     transposed = pose[:3, :3].T
     out = np.eye(4)
     out[:3, :3] = transposed
-    out[:3, 3] = -transposed @ pose[:3, 3]
+    position = pose[:3, 3]
+    out[:3, 3] = -transposed @ position
     return out
 
 
@@ -48,7 +49,8 @@ def adjoint(pose: Array) -> Array:
     out = np.zeros((6, 6))
     out[:3, :3] = R
     out[3:, 3:] = R
-    out[3:, :3] = skew(pose[:3, 3]) @ R
+    lever = skew(pose[:3, 3])
+    out[3:, :3] = lever @ R
     return out
 
 
@@ -107,4 +109,5 @@ def value_at(ahead: Array, values: Array, time: float) -> Array:
     Returns:
         The vector (k,); before the first and after the last of them that one.
     """
-    return np.array([np.interp(time, ahead, column) for column in values.T])
+    components = values.T
+    return np.array([np.interp(time, ahead, component) for component in components])

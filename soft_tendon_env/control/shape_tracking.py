@@ -60,7 +60,8 @@ class ShapeFeedforward(ShapeController):
     """
 
     def act(self, now: ControllerInput, memory: None = None) -> ControllerOutput:
-        return self.output(self._tensions @ self.shape_at(now.reference, self.period))
+        shape = self.shape_at(now.reference, self.period)
+        return self.output(self._tensions @ shape)
 
 
 class ShapeTracking(ShapeController):
@@ -89,13 +90,17 @@ class ShapeTracking(ShapeController):
         # slowest mode of M^-1 G: with control its frequency is that of (1 + kp) G, and its damping
         # that of D + kd G
         per_mass = np.linalg.solve(terms.mass, terms.stiffness)
-        squares, modes = np.linalg.eig(per_mass)
-        slowest = np.argmin(squares.real)
-        square = squares.real[slowest]
-        mode = modes[:, slowest].real
+        eigenvalues, eigenvectors = np.linalg.eig(per_mass)
+        squares = eigenvalues.real
+        modes = eigenvectors.real
+        slowest = np.argmin(squares)
+        square = squares[slowest]
+        mode = modes[:, slowest]
         mode_mass = mode @ terms.mass @ mode
-        own_damping = mode @ terms.damping @ mode / mode_mass  # [1/s]
-        self.kp = max(natural**2 / square - 1.0, 0.0)
+        mode_damping = mode @ terms.damping @ mode
+        own_damping = mode_damping / mode_mass  # [1/s]
+        needed_stiffness = natural**2 / square - 1.0
+        self.kp = max(needed_stiffness, 0.0)
         needed_damping = 2.0 * damping * natural - own_damping
         self.kd = max(needed_damping / square, 0.0)
 
@@ -112,18 +117,25 @@ class ShapeTracking(ShapeController):
         # u = goal - grip v+, with the rates v+ at the end of the period
         tensions = self._tensions
         stiffness_aa = tensions @ terms.stiffness @ tensions.T
-        project = np.linalg.pinv(stiffness_aa) @ tensions @ terms.stiffness
-        push = self.kd * (next_q_bar - q_bar) / h + self.kp * (next_q_bar - now.q)
+        compliance_aa = np.linalg.pinv(stiffness_aa)
+        project = compliance_aa @ tensions @ terms.stiffness
+        change = next_q_bar - q_bar
+        error = next_q_bar - now.q
+        push = self.kd * change / h + self.kp * error
         goal = tensions @ next_q_bar + project @ push
-        grip = (self.kd + h * self.kp) * project
+        gain = self.kd + h * self.kp
+        grip = gain * project
         # v+ = free + response u
-        closed_loop = np.eye(now.q.size) + step.response @ grip
+        feedback = step.response @ grip
+        closed_loop = np.eye(now.q.size) + feedback
         open_loop = step.free + step.response @ goal
         rates = np.linalg.solve(closed_loop, open_loop)
         tension = goal - grip @ rates
         # within the limits, the tensions whose motion is nearest to that of these
         loose = LOOSE * np.trace(step.metric) / tension.size
-        motion = step.metric + loose * np.eye(tension.size)
+        identity = np.eye(tension.size)
+        motion = step.metric + loose * identity
+        gradient = -motion @ tension
         least, greatest = self.reachable(now)
-        allocation = allocate(motion, -motion @ tension, least, greatest, memory)
+        allocation = allocate(motion, gradient, least, greatest, memory)
         return self.output(allocation.x, allocation.multipliers, not allocation.solved)

@@ -40,7 +40,8 @@ class Bank(NamedTuple):
     @property
     def covariance(self) -> Array:
         """Covariance (m, m) of the states of the hypotheses about their mean."""
-        return np.asarray((self.deviation * self.weight) @ self.deviation.T)
+        weighted = self.deviation * self.weight
+        return np.asarray(weighted @ self.deviation.T)
 
     def moments(self) -> tuple[Timing, Timing]:
         """Means and standard deviations [s] of latency and lag."""
@@ -71,8 +72,11 @@ def first_bank(size: int, known: Timing, greatest: Timing, lag_probability: floa
         latencies = np.linspace(0.0, greatest.latency, count)
     lags = np.array([known.lag])
     if known.lag is None:
-        lags = np.array([lag for lag in LAGS if lag <= greatest.lag])
-    latency, lag = (values.ravel() for values in np.meshgrid(latencies, lags))
+        possible = [lag for lag in LAGS if lag <= greatest.lag]
+        lags = np.array(possible)
+    latency_grid, lag_grid = np.meshgrid(latencies, lags)
+    latency = latency_grid.ravel()
+    lag = lag_grid.ravel()
     prior = np.ones(latency.size)
     if known.lag is None:
         lagging = lag > 0.0

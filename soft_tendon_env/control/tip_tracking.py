@@ -71,35 +71,45 @@ class TipTracking(ModelController):
             return self.hold(now, memory)
         aim = self.objective.aim(now, terms, 0.0, h)
         next_aim = self.objective.aim(now, terms, h, h)
-        integral = np.zeros_like(aim.error) if memory is None else memory.integral
+        integral = np.zeros_like(aim.error)
+        multipliers = None
+        if memory is not None:
+            integral = memory.integral
+            multipliers = memory.multipliers
         velocity = self._next_velocity(aim, next_aim, integral, now.q_dot)
         step, static = _allowing_for(now.input_error, step, now.reference.tension)
         # the task: jacobian (free + response u) + h bias = velocity
         task = aim.jacobian @ step.response
-        missing = velocity - aim.jacobian @ step.free - h * aim.bias
+        by_itself = aim.jacobian @ step.free
+        missing = velocity - by_itself - h * aim.bias
         # besides, the least motion by other tensions than the static ones
-        weight = FREE if static is None else STATIC
-        preferred = np.zeros_like(self.least) if static is None else static
-        scale = weight * np.trace(task.T @ task) / np.trace(step.metric)
+        if static is None:
+            weight = FREE
+            preferred = np.zeros_like(self.least)
+        else:
+            weight = STATIC
+            preferred = static
+        task_metric = task.T @ task
+        scale = weight * np.trace(task_metric) / np.trace(step.metric)
         passive = scale * step.metric
-        hessian = task.T @ task + passive
+        hessian = task_metric + passive
         gradient = -task.T @ missing - passive @ preferred
-        multipliers = None if memory is None else memory.multipliers
         least, greatest = self.reachable(now)
         allocation = allocate(hessian, gradient, least, greatest, multipliers)
         # the integral does not wind up by what cannot be done: by what the limits refuse, and in
         # directions in which no tensions move the tip
         unlimited, *_ = np.linalg.lstsq(hessian, -gradient, rcond=None)
-        refused = task @ (unlimited - allocation.x) / h
+        lacking = unlimited - allocation.x
+        refused = task @ lacking / h
         ways = _open_ways(task)
-        resolved = ways @ (ways.T @ aim.error)
-        integral = integral + h * (resolved - refused / self.gains.kp)
-        is_singular = ways.shape[1] < task.shape[0]
-        return self.output(
-            allocation.x,
-            TipMemory(integral, allocation.multipliers),
-            not allocation.solved or is_singular,
-        )
+        along_ways = ways.T @ aim.error
+        resolved = ways @ along_ways
+        growth = resolved - refused / self.gains.kp
+        next_memory = TipMemory(integral + h * growth, allocation.multipliers)
+        directions, open_directions = ways.shape
+        is_singular = open_directions < directions
+        has_failed = not allocation.solved or is_singular
+        return self.output(allocation.x, next_memory, has_failed)
 
     def _next_velocity(self, aim: Aim, next_aim: Aim, integral: Array, q_dot: Array) -> Array:
         """Velocity (k,) that the law asks for at the end of the period: target and feedback."""
@@ -137,4 +147,5 @@ def _open_ways(task: Array) -> Array:
     """Orthonormal directions (k, r) of the task in which tensions move the tip at all."""
     ways, scale, _ = np.linalg.svd(task)
     is_open = scale > SINGULAR * scale[0]
-    return np.asarray(ways[:, : scale.size][:, is_open])
+    columns = ways[:, : scale.size]
+    return np.asarray(columns[:, is_open])

@@ -124,7 +124,8 @@ class TensorObservation:
     def _goal(self, pose: torch.Tensor) -> torch.Tensor:
         """Positions (rows, 3) of poses (rows, 4, 4) as goals, within their space."""
         bound = self._episodes.goal_bound
-        clamped = torch.clamp(pose[:, :3, 3], -bound, bound)
+        position = pose[:, :3, 3]
+        clamped = torch.clamp(position, -bound, bound)
         return clamped.to(self._dtype)
 
 

@@ -80,7 +80,9 @@ class TensorReward:
             elif source == SMOOTHNESS:
                 value = _economy(trajectories.action_change, table.most_change)
             else:
-                scales = table.scale[table.first[i] : table.first[i + 1]]
+                begin = table.first[i]
+                end = table.first[i + 1]
+                scales = table.scale[begin:end]
                 value = _mean_closeness(squares[source], scales)
             weight = float(table.weight[i])
             reward = reward + weight * value
@@ -96,6 +98,7 @@ def _economy(values: torch.Tensor, most: Array) -> torch.Tensor:
 
 def _mean_closeness(square: torch.Tensor, scales: Array) -> torch.Tensor:
     """Mean closeness (periods, rows) at some scales of an error, of its square."""
-    ratios = square[..., None] / torch.tensor(np.square(scales))
+    scale_squares = torch.tensor(np.square(scales))
+    ratios = square[..., None] / scale_squares
     closeness = 1.0 / (1.0 + ratios)
     return closeness.mean(-1)

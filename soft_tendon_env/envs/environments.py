@@ -390,7 +390,8 @@ class TendonRodVectorEnv(EpisodesEnv, gym.vector.VectorEnv[Any, Any, Any]):
         if options is None or MASK not in options:
             return self._all
         mask = np.asarray(options[MASK])
-        if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
+        has_shape = mask.shape == (self.num_envs,)
+        if mask.dtype != bool or not has_shape or not mask.any():
             raise ValueError(
                 f"reset_mask should be a bool array of shape ({self.num_envs},) with at least"
                 f" one true, not {mask!r}"
@@ -633,7 +634,8 @@ def _make_classes(name: str, task: Task) -> None:
         if task.goal:
             bases = (GoalRewards, base)
         attributes = {"task": task, "__doc__": doc, "__module__": __name__}
-        classes[name + suffix] = type(name + suffix, bases, attributes)
+        class_name = name + suffix
+        classes[class_name] = type(class_name, bases, attributes)
 
 
 TASKS.follow(_make_classes)

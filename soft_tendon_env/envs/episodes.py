@@ -342,7 +342,8 @@ class Episodes:
         self.errors = {error.name: np.full(rows, np.nan) for error in task.errors}
         self.terms = dict[str, Array]()
         self.diverged = np.zeros(rows, dtype=bool)
-        self.target, error, _ = self.trajectories.now_and_ahead(self.step_count, reading.tip_pose)
+        tip_pose = reading.tip_pose
+        self.target, error, _ = self.trajectories.now_and_ahead(self.step_count, tip_pose)
         self.observed = self._seen(reading, error)
         self.history: History | None = None
         if options.history:
@@ -436,7 +437,11 @@ class Episodes:
         """
         if not options_of_rows:
             return {}
-        return {row: self._beginning(row, options_of_rows[row]) for row in members.tolist()}
+        beginnings = {}
+        for row in members.tolist():
+            options = options_of_rows[row]
+            beginnings[row] = self._beginning(row, options)
+        return beginnings
 
     def _beginning(self, row: int, options: ResetOptions) -> Beginning:
         """How a row begins by its options.
@@ -504,7 +509,8 @@ class Episodes:
 
         tips = self.arms.reading.tip_pose[:, :3, 3]
         for row, generator in zip(rows, generators, strict=True):
-            self._targets.begin(row, beginning_of[row].target, tips[row])
+            target = beginning_of[row].target
+            self._targets.begin(row, target, tips[row])
             # after the target, which is the same with and without noise
             if self._sensors is not None:
                 seed = int(generator.integers(2**63))

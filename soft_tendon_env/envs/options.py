@@ -89,7 +89,8 @@ def at_difficulty(target: Target, difficulty: Difficulty | None) -> Target:
     if "of" in settings:
         parts = settings["of"]
         set_parts = [at_difficulty(part, difficulty) for part in parts]
-        if any(after is not before for before, after in zip(parts, set_parts, strict=True)):
+        pairs = zip(parts, set_parts, strict=True)
+        if any(after is not before for before, after in pairs):
             more["of"] = set_parts
     if isinstance(target, DrawnShapes):
         more = {}
@@ -321,18 +322,26 @@ def reset_options(options: Any, rows: int | None = None) -> dict[int, ResetOptio
         raise TypeError(f"options should be a dict or None, not {type(options).__name__}")
     table = options or {}
     _check_keys(table, rows)
-    values = {key: value for key, value in table.items() if value is not None and key != MASK}
+    values = {}
+    for key, value in table.items():
+        if value is not None and key != MASK:
+            values[key] = value
     if not values:
         return {}
     if rows is None:
         return {0: ResetOptions.parse(values, "options")}
     for key, column in values.items():
-        if not isinstance(column, list | tuple | np.ndarray) or len(column) != rows:
+        is_column = isinstance(column, list | tuple | np.ndarray)
+        if not is_column or len(column) != rows:
             text = f"should have one value per row, {rows}, each None for what is usual"
             raise ConfigurationError([Problem((key,), text)], "options")
     options_of: dict[int, ResetOptions] = {}
     for row in range(rows):
-        own = {key: column[row] for key, column in values.items() if column[row] is not None}
+        own = {}
+        for key, column in values.items():
+            value = column[row]
+            if value is not None:
+                own[key] = value
         options_of[row] = ResetOptions.parse(own, f"options of row {row}")
     return options_of
 
@@ -477,7 +486,8 @@ def groups_of(options: Options, task: Task) -> dict[str, Group]:
         if name not in allowed:
             hint = not_among(name, allowed)
             _fail("observation", f"names {name!r}: {hint}")
-    if not chosen or len(set(chosen)) < len(chosen):
+    different = set(chosen)
+    if not chosen or len(different) < len(chosen):
         _fail("observation", f"is {list(chosen)}: it should name at least one group, each once")
     return {name: allowed[name] for name in chosen}
 
@@ -513,7 +523,8 @@ def check_fit(options: Options, task: Task, scene: Scene) -> None:
             f"is {options.threshold:g}, which tasks with a goal have, such as Reach, and"
             f" {task.name} has none",
         )
-    describes_arm = any(group.of_arm for group in groups_of(options, task).values())
+    groups = groups_of(options, task)
+    describes_arm = any(group.of_arm for group in groups.values())
     if options.history and not describes_arm:
         _fail(
             "history",

@@ -128,7 +128,9 @@ class Starts:
             for end in ends:
                 self._model_with(drawn.changes(end), drawn.name)
         count = len(self._ranges)
-        for shares in (np.zeros(count), np.ones(count), self._softest_and_heaviest()):
+        least = np.zeros(count)
+        greatest = np.ones(count)
+        for shares in (least, greatest, self._softest_and_heaviest()):
             changes = self._numbers(shares)
             model = self._model_with(changes)
             if not self._is_among_obstacles:
@@ -274,7 +276,8 @@ class Starts:
 
 def _listed(numbers: Mapping[str, float]) -> str:
     """Numbers by their keys, as messages list them."""
-    return ", ".join(f"{key} {value:.4g}" for key, value in numbers.items())
+    parts = [f"{key} {value:.4g}" for key, value in numbers.items()]
+    return ", ".join(parts)
 
 
 def _no_rest(

@@ -240,7 +240,8 @@ class Reward:
         # terms of users, whose values are looked at
         for name, function in self.functions.items():
             value = np.array(function(tracking), dtype=np.float64)
-            if value.shape != (rows,) or not ((value >= 0.0) & (value <= 1.0)).all():
+            is_within = (value >= 0.0) & (value <= 1.0)
+            if value.shape != (rows,) or not is_within.all():
                 raise ValueError(
                     f"the reward term {name!r} should have values of shape ({rows},) between 0 and"
                     f" 1, not {shown(value)}"
@@ -294,7 +295,8 @@ def goal_distance(achieved: ArrayLike, desired: ArrayLike) -> Array:
     """
     shape = np.shape(achieved)
     desired_shape = np.shape(desired)
-    if shape != desired_shape or shape[-1:] != (3,):
+    is_of_positions = shape[-1:] == (3,)
+    if shape != desired_shape or not is_of_positions:
         raise ValueError(
             "achieved_goal and desired_goal should have the same shape (..., 3), not"
             f" {shape} and {desired_shape}"
@@ -334,7 +336,8 @@ def goal_reward(
     distance = goal_distance(achieved, desired)
     if not dense:
         return np.asarray(distance <= threshold, dtype=np.float64)
-    grades = [closeness(distance, grade * HALF * threshold) for grade in GRADES]
+    widths = [grade * HALF * threshold for grade in GRADES]
+    grades = [closeness(distance, width) for width in widths]
     mean_grade = sum(grades) / len(GRADES)
     return np.asarray(mean_grade)
 

@@ -138,7 +138,10 @@ class TargetTrajectories:
         due = members[runs_out].tolist()
         periods = [self._next_periods(row) for row in due]
         courses = [self._course[row] for row in due]
-        times = [np.asarray(self._period * counts, dtype=np.float64) for counts in periods]
+        times = []
+        for counts in periods:
+            seconds = self._period * counts
+            times.append(np.asarray(seconds, dtype=np.float64))
         sampled = self.sample(courses, times)
         for row, counts, samples in zip(due, periods, sampled, strict=True):
             self._keep(row, counts, samples)

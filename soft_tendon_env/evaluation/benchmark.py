@@ -275,7 +275,8 @@ def standings_by_regime(
     Raises ValueError, OSError.
     """
     standings = dict[str, dict[tuple[str, str], Standing]]()
-    in_order = sorted(experiment.cells, key=lambda label: benchmark.settings.index(label.setting))
+    settings = benchmark.settings
+    in_order = sorted(experiment.cells, key=lambda label: settings.index(label.setting))
     for label in in_order:
         of_regime = standings.setdefault(label.regime, {})
         member = experiment.scores(label)
@@ -311,7 +312,10 @@ def benchmark_tables(benchmark: Benchmark, by_regime: Mapping[str, Standings]) -
     definitions = [NUMBERS_LEGEND, SIDES_LEGEND]
     if is_told:
         definitions.append(TOLD_LEGEND)
-    settings = [f"- `{name}`: {SETTINGS[name].description}." for name in benchmark.settings]
+    settings = []
+    for name in benchmark.settings:
+        description = SETTINGS[name].description
+        settings.append(f"- `{name}`: {description}.")
     texts = ["\n".join(definitions), "Settings:", "\n".join(settings)]
     for regime, standings in by_regime.items():
         text = _regime_text(regime, standings, others, kind)
@@ -335,8 +339,9 @@ def _regime_text(regime: str, standings: Standings, others: set[str], kind: str)
     by_label["return"] = gaps(standings, others, "return")
     columns["loss of return"] = _gap_cells(by_label["return"], 1.0)
 
+    title = REGIMES[regime].title
     description = REGIMES[regime].description.capitalize()
-    parts = [f"### {REGIMES[regime].title}", f"{description} (`{regime}`)."]
+    parts = [f"### {title}", f"{description} (`{regime}`)."]
     parts += verdict(by_label, kind)
     parts += number_tables(standings)
     rows = []

@@ -85,7 +85,8 @@ def _shared_arm(
     first, shared = next(pairs)
     for name, arm in arms.items():
         for key in ARM:
-            if key not in options and arm[key] != shared[key]:
+            is_of_agents = key not in options
+            if is_of_agents and arm[key] != shared[key]:
                 raise ValueError(
                     f"{name} has {key} = {shown(arm[key])}, {first} has {shown(shared[key])}: their"
                     f" episodes would not be the same. Give {key} in options, for all of them, or"
@@ -286,7 +287,8 @@ def record_side_by_side(
         for seed in seeds:
             file.align()
             for name, (policy, _) in players.items():
-                scores[name] += evaluate(policy, envs[name], [seed], skip)
+                env = envs[name]
+                scores[name] += evaluate(policy, env, [seed], skip)
                 bar.update()
     rollouts = {name: env.rollout for name, env in envs.items() if env.rollout is not None}
     return SideBySide(scores, rollouts)

@@ -65,7 +65,8 @@ def seed_files(folder: Path, task: str) -> dict[int | None, str]:
     There are none in another folder, such as an agent's own. Raises ValueError, OSError unless all
     were trained on the task, and alike.
     """
-    if not any(folder.glob("seed_*")) or is_agent(str(folder)):
+    has_seeds = any(folder.glob("seed_*"))
+    if not has_seeds or is_agent(str(folder)):
         return {}
     runs = seed_folders(folder)
     check_alike(list(runs.values()), task)

@@ -187,7 +187,10 @@ class Experiment(Generic[Label]):
         code = code_digest()
         self.cells = cells
         self._folder = folder
-        self._paths = {label: folder / f"{cell.key(code)}.json" for label, cell in cells.items()}
+        self._paths = {}
+        for label, cell in cells.items():
+            key = cell.key(code)
+            self._paths[label] = folder / f"{key}.json"
         for cell in cells.values():
             if cell.alone:
                 _, env = cell.open()

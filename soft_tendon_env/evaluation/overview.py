@@ -233,7 +233,8 @@ def draw_errors_over_time(
             markevery=max(rollout.samples // MARKS, 1),
             label=name,
         )
-    bound = unit.factor * SETTLED * overview.rollouts[overview.bent].model.length
+    length = overview.rollouts[overview.bent].model.length
+    bound = unit.factor * SETTLED * length
     axes.axhline(bound, color=GREY, linewidth=1.5, linestyle="--")
     # errors of the policies differ by factors
     axes.set_yscale("log")

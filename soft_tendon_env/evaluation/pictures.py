@@ -36,7 +36,10 @@ def draw_errors(panels: Mapping[str, Standings], path: Path) -> None:
     """
     policies = (policy for panel in panels.values() for policy, _ in panel)
     looks = styles(dict.fromkeys(policies))
-    heights = [ROW * len({condition for _, condition in panel}) for panel in panels.values()]
+    heights = []
+    for panel in panels.values():
+        conditions = {condition for _, condition in panel}
+        heights.append(ROW * len(conditions))
     full_rows = len(looks) / LEGEND_COLUMNS
     rows = math.ceil(full_rows)
     legend = LEGEND_LINE * rows

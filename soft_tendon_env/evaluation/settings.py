@@ -86,7 +86,12 @@ class Settings(EpisodeSettings, Workers):
     @field_validator("errors")
     @classmethod
     def _expand(cls, errors: tuple[str, ...]) -> tuple[str, ...]:
-        every = [name for given in errors for name in (MODEL_ERRORS if given == ALL else (given,))]
+        every = list[str]()
+        for given in errors:
+            if given == ALL:
+                every += MODEL_ERRORS
+            else:
+                every.append(given)
         for name in every:
             model_error(name)
         return tuple(dict.fromkeys(every))
@@ -112,10 +117,11 @@ def episode_steps(
             f"seconds is {seconds:g}: it should be at most {MOST_STEPS} control periods,"
             f" {MOST_STEPS * period:g} s"
         )
-    is_too_short = round(steps) < 1
-    if is_too_short or math.ceil(skip / period - 1e-9) > round(steps):
+    whole_steps = round(steps)
+    skipped_steps = math.ceil(skip / period - 1e-9)
+    if whole_steps < 1 or skipped_steps > whole_steps:
         raise ValueError(
             f"seconds is {seconds:g}: it should be at least one control period, {period:g} s, and"
             f" skip, which is {skip:g}"
         )
-    return round(steps)
+    return whole_steps

@@ -253,7 +253,8 @@ def difference(
     """
     theirs = {score.seed: score.numbers[key] for score in other.episodes}
     has_more = len(other.scores) > 1
-    if has_more or any(score.seed not in theirs for score in first.episodes):
+    are_known = all(score.seed in theirs for score in first.episodes)
+    if has_more or not are_known:
         raise ValueError("the other should be a single member, which has played the same episodes")
     pairs = np.array(
         [

@@ -367,7 +367,8 @@ class _ControlPeriod(torch.nn.Module):
             "memory": memory,
         }
         # an output of its own, though the same as what is remembered
-        results: dict[str, Tensor | None] = {"action": 1.0 * action, **states}
+        same_action = 1.0 * action
+        results: dict[str, Tensor | None] = {"action": same_action, **states}
         if self.read:
             held_action = self._held_action(command, last_action)
             before = {

@@ -66,7 +66,8 @@ def read_columns(
     if not table.rows:
         raise ValueError(f"{table.where}: there are no rows beneath the header")
     of_numbers = sources.keys() - {"hold", "group"}
-    columns = [source.column for name, source in sources.items() if name in of_numbers]
+    sources_of_numbers = [source for name, source in sources.items() if name in of_numbers]
+    columns = [source.column for source in sources_of_numbers]
     _check_decimal_marks(table, columns)
     return table, sources
 

@@ -204,7 +204,8 @@ def command_factors(plants: Plants) -> dict[str, float]:
     unit = effects.command_unit
     factor_of_unit = UNITS[unit]
     tendon_count = len(plants.scene.tendons)
-    commands = [f"{COMMANDS[unit]}_{i}" for i in range(tendon_count)]
+    column_name = COMMANDS[unit]
+    commands = [f"{column_name}_{i}" for i in range(tendon_count)]
     # the unit that [columns] says, of which the first stands for all
     current = 1.0
     for key, column in plants.markers.columns.items():

@@ -202,8 +202,9 @@ def _of_base(scene: Scene) -> list[Parameter]:
     ):
         keys = [f"base.{name}.{axis}" for axis in range(3)]
         for axis, numbers in enumerate(scene_parameters(scene, keys)):
+            key = keys[axis]
             value = numbers.value
-            parameter = _difference(keys[axis], value, prior, quantity, (axis,), numbers)
+            parameter = _difference(key, value, prior, quantity, (axis,), numbers)
             parameters.append(parameter)
     return parameters
 

@@ -19,7 +19,7 @@ from soft_tendon_env.learning.hyperparameters import (
     APG,
     DAGGER,
     hyperparameter_problems,
-    without_unread,
+    unread_names,
 )
 from soft_tendon_env.learning.shares import resolved
 from soft_tendon_env.policies.algorithms import ALGORITHMS
@@ -90,7 +90,7 @@ class Training(Configuration):
             "geometric" behind them a straight line between their logarithms.
         hyperparameters: further arguments of the algorithm, by Stable-Baselines3's names;
             `activation_fn` is a name in torch.nn. Those that the `cost` of APG does not read are
-            left out.
+            refused.
         options: options of the environment, see `soft_tendon_env.envs.Options`.
         integral_time: [s], integral action around the agent once it acts and is evaluated, see
             policies/integral.py; None: none.
@@ -143,7 +143,8 @@ class Training(Configuration):
     @field_validator("learning_rate", mode="before")
     @classmethod
     def _is_rate(cls, rate: Any) -> Any:
-        if not isinstance(rate, int | float | list | tuple):
+        is_rate = isinstance(rate, int | float | list | tuple)
+        if not is_rate:
             raise ValueError(
                 'should be a number such as 3e-4, [first, last], or [first, last, "geometric"]'
             )
@@ -156,11 +157,6 @@ class Training(Configuration):
             known = not_registered(algorithm, ALGORITHMS)
             raise ValueError(f"should be an algorithm to train with: {known}")
         return algorithm
-
-    @field_validator("hyperparameters")
-    @classmethod
-    def _leave_out_unread(cls, hyperparameters: dict[str, Any]) -> dict[str, Any]:
-        return without_unread(hyperparameters)
 
     @field_validator("options")
     @classmethod
@@ -244,6 +240,8 @@ def read_table(path: Path, extending: Sequence[Path] = ()) -> dict[str, Any]:
 
     Tables are merged by key, all else is replaced, lists too. A table of another `type`, and the
     hyperparameters of another algorithm, are replaced as a whole: their keys are of their kind.
+    Where a file says another `cost`, what that cost does not read of the extended file's is left
+    out.
 
     Args:
         path: of the TOML file.
@@ -268,6 +266,7 @@ def read_table(path: Path, extending: Sequence[Path] = ()) -> dict[str, Any]:
     base = read_table(extended, chain)
     if _differ(base, table, "algorithm"):
         base.pop("hyperparameters", None)
+    _leave_out_unread(base, table)
     return _merged(base, table)
 
 
@@ -292,6 +291,21 @@ def _extended_file(path: Path, given: Any) -> Path:
     return file
 
 
+def _leave_out_unread(base: dict[str, Any], table: Mapping[str, Any]) -> None:
+    """Takes out of a base, in place, the hyperparameters that a table's own `cost` does not read.
+
+    Nobody who writes the table has said them, and a record with them would differ from one without.
+    """
+    algorithm = table.get("algorithm", base.get("algorithm"))
+    extended = base.get("hyperparameters")
+    own = table.get("hyperparameters")
+    # what is no table is refused once it is read
+    if not isinstance(extended, dict) or not isinstance(own, Mapping):
+        return
+    for name in unread_names(algorithm, own):
+        extended.pop(name, None)
+
+
 def _merged(base: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
     """A table with the keys of a base that it lacks, in its tables too."""
     if _differ(base, table, "type"):
@@ -308,7 +322,8 @@ def _merged(base: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]
 
 def _differ(base: Mapping[str, Any], table: Mapping[str, Any], key: str) -> bool:
     """Whether a table says otherwise than its base what it is."""
-    return key in table and key in base and table[key] != base[key]
+    is_in_both = key in table and key in base
+    return is_in_both and table[key] != base[key]
 
 
 def read_training(path: Path, changes: Sequence[str] = (), **more: Any) -> Training:

@@ -120,8 +120,10 @@ def _table_row(curves: Curves, key: str, factor: float) -> tuple[str, ...]:
     minutes = float(np.mean(seconds)) / 60.0
     values = [factor * row[key] for row in last]
     middle = number(float(interquartile_mean(values)))
-    low, high = [number(float(bound)) for bound in bootstrap_interval(values)]
-    mean, tail = [number(float(value)) for value in tails(values)]
+    interval = bootstrap_interval(values)
+    low, high = [number(float(bound)) for bound in interval]
+    mean_and_tail = tails(values)
+    mean, tail = [number(float(value)) for value in mean_and_tail]
     diverged = any(row["diverged"] for row in last)
     if diverged:
         flag = f" {FLAG}"

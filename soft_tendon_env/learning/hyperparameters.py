@@ -97,22 +97,19 @@ def training_class(algorithm: str) -> Any:
     return getattr(module, algorithm)
 
 
-def without_unread(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Hyperparameters without those that their `cost` does not read.
-
-    A training has such of one that it extends: they would tell two alike from one another.
-    """
-    unread: tuple[str, ...] = ()
+def unread_names(algorithm: str, given: Mapping[str, Any]) -> tuple[str, ...]:
+    """Names of hyperparameters that an algorithm with these does not read, by its `cost`."""
     cost = given.get("cost")
-    if isinstance(cost, str):
-        unread = UNREAD.get(cost, ())
-    return {name: value for name, value in given.items() if name not in unread}
+    if algorithm != APG or not isinstance(cost, str):
+        return ()
+    return UNREAD.get(cost, ())
 
 
 def hyperparameter_problems(algorithm: str, given: Mapping[str, Any]) -> list[Problem]:
     """Problems with hyperparameters, by key.
 
-    They are no arguments of the algorithm, or of its policy, or out of RANGES.
+    They are no arguments of the algorithm, or of its policy, or out of RANGES, or its cost does not
+    read them.
     """
     kind = training_class(algorithm)
     policy = given.get("policy_kwargs", {})
@@ -133,6 +130,23 @@ def hyperparameter_problems(algorithm: str, given: Mapping[str, Any]) -> list[Pr
         if greatest == math.inf:
             allowed = f"at least {least:g}"
         text = f"is {shown(value)}: it should be a number {allowed}"
+        problems.append(Problem(("hyperparameters", name), text))
+    problems += _unread(algorithm, given)
+    return problems
+
+
+def _unread(algorithm: str, given: Mapping[str, Any]) -> list[Problem]:
+    """Problems with hyperparameters that would change nothing, for the cost does not read them."""
+    problems = []
+    for name in unread_names(algorithm, given):
+        if name not in given:
+            continue
+        value = shown(given[name])
+        cost = shown(given["cost"])
+        text = (
+            f"is {value}: it should be left out with cost = {cost}, which does not read it;"
+            " cost = 'errors' does"
+        )
         problems.append(Problem(("hyperparameters", name), text))
     return problems
 

@@ -173,7 +173,8 @@ class Teacher:
         """Controller of a row's arm as it was drawn."""
         episodes = self.episodes
         model = episodes.arms.model_of(row)
-        bounds = [episodes.actuation.acting(bound, row) for bound in episodes.limits.T]
+        least_and_greatest = episodes.limits.T
+        bounds = [episodes.actuation.acting(bound, row) for bound in least_and_greatest]
         limits = np.stack(bounds, axis=1)
         arm = (model, limits, episodes.period)
         if episodes.task.shapes:
@@ -355,7 +356,8 @@ class DAgger(ActorAlgorithm):
         policy: Any = self.policy
         observations, answers = self._joined()
         actor = torch.nn.Sequential(*policy.mlp_extractor.policy_net, policy.action_net)
-        first = next(layer for layer in actor if isinstance(layer, torch.nn.Linear))
+        layers = (layer for layer in actor if isinstance(layer, torch.nn.Linear))
+        first = next(layers)
         # the first layer sees features of one scale, by weights that give the same values
         with torch.no_grad():
             tensors, _ = policy.obs_to_tensor(observations)

@@ -158,8 +158,8 @@ class TrainingMonitor(ABC):
         before = self._evaluated
         self._evaluated = self._evaluations_due()
         is_due = self._evaluated > before
-        is_time = is_due or ends and self.curve[-1]["steps"] < self.steps_done()
-        if is_time:
+        is_last = ends and self.curve[-1]["steps"] < self.steps_done()
+        if is_due or is_last:
             self.evaluate()
             config = {
                 **self._config,

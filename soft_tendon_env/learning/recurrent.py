@@ -122,7 +122,8 @@ class RecurrentPolicy(ActorCriticPolicy):
             ValueError: the state has another shape.
         """
         is_first = bool(np.any(episode_start))
-        self._lost.notice(bool(self.memory) and state is None and not is_first)
+        is_lost = state is None and not is_first
+        self._lost.notice(bool(self.memory) and is_lost)
         seen, many = self.obs_to_tensor(observation)
         memory = self._read_memory(state, _rows(seen))
         if episode_start is not None:

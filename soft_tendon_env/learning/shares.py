@@ -136,9 +136,14 @@ def in_si_units(value: Any, sizes: Mapping[str, float], key: Key = ()) -> Any:
         ConfigurationError: for shares of what is no unit.
     """
     if isinstance(value, Mapping):
-        return {name: in_si_units(entry, sizes, (*key, name)) for name, entry in value.items()}
+        table = {}
+        for name, entry in value.items():
+            table[name] = in_si_units(entry, sizes, (*key, name))
+        return table
     if isinstance(value, list | tuple):
-        entries = [in_si_units(entry, sizes, (*key, place)) for place, entry in enumerate(value)]
+        entries = []
+        for place, entry in enumerate(value):
+            entries.append(in_si_units(entry, sizes, (*key, place)))
         if isinstance(value, tuple):
             return tuple(entries)
         return entries
@@ -191,7 +196,8 @@ def resolved(table: Mapping[str, Any]) -> dict[str, Any]:
     changed["options"] = {**changed_options, **_scene_option(options)}
     added = changed.get("added_effects", {})
     is_table = isinstance(added, Mapping)
-    if is_table and all(isinstance(table, Mapping) for table in added.values()):
+    are_tables = is_table and all(isinstance(table, Mapping) for table in added.values())
+    if are_tables:
         changed["options"] = _with_effects(changed["options"], scene, added)
         changed["added_effects"] = {}
     _count_posture(changed)

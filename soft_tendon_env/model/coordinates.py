@@ -193,7 +193,8 @@ def _explicit_basis(strain: ExplicitBasis, grid: Grid, stress_free: StressFreeAr
     fields = np.asarray(values, dtype=np.float64)
     count = len(fields)
     expected = (count, *grid.points.shape, len(STRAINS))
-    if fields.shape != expected or not np.isfinite(fields).all():
+    are_finite = np.isfinite(fields).all()
+    if fields.shape != expected or not are_finite:
         text = f"has fields of shape {fields.shape}: they should be finite, and of shape {expected}"
         raise ConfigurationError([Problem(("strain",), text)])
     present = _intervals_of(fields)

@@ -144,7 +144,8 @@ class Balance:
         inverse_metric = np.diag(inverse)
         compliances = metric * inverse_metric
         is_finite = np.isfinite(inverse).all()
-        if is_finite and np.abs(compliances).max() < 0.1 / NEUTRAL:
+        largest = np.abs(compliances).max()
+        if is_finite and largest < 0.1 / NEUTRAL:
             return np.asarray(inverse)
         S = self._by_metric(stiffness)
         if np.isfinite(S).all() and self._is_symmetric(S):
@@ -168,7 +169,8 @@ class Balance:
         """Whether S is that of a potential, by what the loads are, else by its numbers."""
         # G grows without bound where the arm buckles, and differences of forces lose their symmetry
         arm = self.model.arm
-        if isinstance(arm.strain, Loaded) and arm.strain.has_potential and not arm.effects.load:
+        is_unloaded = not arm.effects.load
+        if isinstance(arm.strain, Loaded) and arm.strain.has_potential and is_unloaded:
             return True
         difference = S - S.T
         asymmetry = np.linalg.norm(difference)

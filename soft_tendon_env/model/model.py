@@ -381,7 +381,8 @@ class Model:
         """
         lengths = np.empty(self.tendon_count)
         with self.configuration(q) as work:
-            tendon_lengths(self.arm.rod, self.arm.tendons, work.strain.xi, lengths)
+            strain = work.strain.xi
+            tendon_lengths(self.arm.rod, self.arm.tendons, strain, lengths)
         return lengths
 
     def energy(self, q: ArrayLike, q_dot: ArrayLike, effects: ArrayLike | None = None) -> Energy:
@@ -507,7 +508,8 @@ class Model:
             return places
         least = places.min()
         greatest = places.max()
-        is_on_rod = least >= 0.0 and greatest <= self.length * (1 + 1e-12)
+        end = self.length * (1 + 1e-12)
+        is_on_rod = least >= 0.0 and greatest <= end
         if not is_on_rod:
             raise ValueError(
                 f"{name} should lie between 0 and {self.length:g}, not {least:g} to {greatest:g}"
@@ -551,7 +553,8 @@ class Model:
         The block where it was not found is -1 for none.
         """
         if block >= 0:
-            nearest = nearest_limit(self.arm, self.grid, q, work.strain.xi, reached, block)
+            strain = work.strain.xi
+            nearest = nearest_limit(self.arm, self.grid, q, strain, reached, block)
             if isinstance(self.arm.strain, Loaded):
                 what = "coordinates and loads"
             else:
@@ -580,7 +583,8 @@ class Model:
             self.arm, tension, q, q_dot, has_states, TOLERANCE, work, out
         )
         # without rates it is the mass that is infinite
-        is_too_large = placed == TOO_LARGE or (placed == TOO_FAST and not q_dot.any())
+        is_at_rest = not q_dot.any()
+        is_too_large = placed == TOO_LARGE or (placed == TOO_FAST and is_at_rest)
         self._check(q, work, block, reached, not is_too_large)
         if placed == TOO_FAST:
             raise OverflowError(

@@ -255,7 +255,8 @@ class Simulation:
         work = self._scratch.work
         if work.inputs.state.size:
             work.strain.xi[:] = strain
-            rest_states(self.model.arm, command, work.inputs, work.strain, work.loads)
+            arm = self.model.arm
+            rest_states(arm, command, work.inputs, work.strain, work.loads)
         return work.inputs.state.copy()
 
     def reset_at_rest(self, tension: Given = None, *, time: float = 0.0) -> State:
@@ -311,7 +312,8 @@ class Simulation:
         q = motion.q[None].copy()
         q_dot = motion.q_dot[None].copy()
         tip_pose = np.eye(4)[None].copy()
-        advance.tip_pose(self.model.arm, motion, self._scratch.work, tip_pose[0])
+        work = self._scratch.work
+        advance.tip_pose(self.model.arm, motion, work, tip_pose[0])
         self._sample = Record(q, q_dot, tip_pose)
 
     def step(self, command: ArrayLike, duration: float) -> StepReport:
@@ -457,23 +459,28 @@ class Simulation:
                 " singular"
             )
         borders = [2 * n, 2 * n + n_a]
-        by = np.split(plan.jacobian.copy(), borders, axis=2)
-        outcome = (plan.q, plan.q_dot, plan.state, plan.tip_pose, plan.tip_jacobian)
-        return Rollout(*(values.copy() for values in outcome), *by)
+        jacobian = plan.jacobian.copy()
+        by_inputs = np.split(jacobian, borders, axis=2)
+        results = (plan.q, plan.q_dot, plan.state, plan.tip_pose, plan.tip_jacobian)
+        outcome = [values.copy() for values in results]
+        return Rollout(*outcome, *by_inputs)
 
     def _plan_of(self, periods: int, parts: int, forces: Array) -> Plan:
         """Plan with forces (n, k) besides those of the tendons: the last one if it has its shape.
 
         To make one takes as long as two steps of a period.
         """
-        inputs = self.model.tendon_count + forces.shape[1]
+        tendons = self.model.tendon_count
+        inputs = tendons + forces.shape[1]
         plan = self._plan
-        has_shape = plan is not None and plan.command.shape[:2] == (periods, parts)
-        if plan is not None and has_shape and plan.forces.shape[1] == inputs:
-            plan.forces[:, self.model.tendon_count :] = forces
-        else:
-            plan = self._plan = make_plan(self.model.arm, periods, parts, forces)
-        return plan
+        if plan is not None:
+            has_steps = plan.command.shape[:2] == (periods, parts)
+            has_inputs = plan.forces.shape[1] == inputs
+            if has_steps and has_inputs:
+                plan.forces[:, tendons:] = forces
+                return plan
+        self._plan = make_plan(self.model.arm, periods, parts, forces)
+        return self._plan
 
     @property
     def tip_pose(self) -> Array:
@@ -573,7 +580,8 @@ def simulate(
         start = simulation.state
     # the first sample is the start
     values = [start.q, start.q_dot, simulation.tip_pose]
-    stacked = (value[None].repeat(samples + 1, axis=0) for value in values)
+    count = samples + 1
+    stacked = [value[None].repeat(count, axis=0) for value in values]
     record = Record(*stacked)
     report = StepReport(0, 0, 0.0, 0)
     if samples:
@@ -612,10 +620,12 @@ def ends(model: Model, start: Motion, taken: Array, inputs: Array) -> tuple[Arra
     rows = batch.rows
     failed = np.zeros(count, dtype=bool)
     states = start.state.size
+    begin_of_state = 2 * n
+    begin_of_command = begin_of_state + states
     rows.q[:] = inputs[:, :n]
-    rows.q_dot[:] = inputs[:, n : 2 * n]
-    rows.state[:] = inputs[:, 2 * n : 2 * n + states]
-    commands = inputs[:, 2 * n + states :]
+    rows.q_dot[:] = inputs[:, n:begin_of_state]
+    rows.state[:] = inputs[:, begin_of_state:begin_of_command]
+    commands = inputs[:, begin_of_command:]
     if states:  # a memory remembers the strain before a step
         for row, q in enumerate(rows.q):
             with contextlib.suppress(StrainLimitError):

@@ -59,7 +59,8 @@ def nearest_limit(
         cause = f"pulls its own chord down to {size_left:.2g} of its length"
     else:
         cause = "pushes the section as far as its stiffness holds"
-    limit = f"tendon {tendon} at arc length {place:.4g} m, with {tension:.4g} N, {cause}"
+    place_on_rod = f"tendon {tendon} at arc length {place:.4g} m"
+    limit = f"{place_on_rod}, with {tension:.4g} N, {cause}"
     if isinstance(strain, Loaded):
         return f"{limit}, or the arm buckles under the loads inside of its strain"
     return limit

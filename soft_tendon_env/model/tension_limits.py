@@ -52,7 +52,9 @@ def warn_beyond_limits(limits: Sequence[Sequence[float]], command: Array, unit: 
     columns = zip(limits, low.tolist(), high.tolist(), strict=True)
     for i, ((least, greatest), lowest, highest) in enumerate(columns):
         slack = ROUND_OFF * (greatest - least)
-        if lowest < least - slack or highest > greatest + slack:
+        is_below = lowest < least - slack
+        is_above = highest > greatest + slack
+        if is_below or is_above:
             text = (
                 f"tendons[{i}] goes beyond its tension_limits, {least:g} to {greatest:g} {unit}:"
                 " computed as asked, where actuators and environments stop at the limit"

@@ -60,7 +60,10 @@ def wanted_shapes(model: ste.Model, time: np.ndarray) -> np.ndarray:
 
 def reproduce(seconds: float, folder: Path) -> Result:
     """The first `seconds` of the motion."""
-    models = {name: ste.build_model(ste.load_scene(name), "scene") for name in MODELS}
+    models = {}
+    for name in MODELS:
+        scene = ste.load_scene(name)
+        models[name] = ste.build_model(scene, "scene")
     duration = min(seconds, DURATION)
     motions = {}
     errors = {}
@@ -79,7 +82,8 @@ def reproduce(seconds: float, folder: Path) -> Result:
     numbers: dict[str, dict[str, dict[str, float]]] = {name: {} for name in MODELS}
     for (name, law), error in errors.items():
         largest = errors[name, "feedforward"].max()
-        numbers[name][law] = summary(motions[name, law], error, largest)
+        motion = motions[name, law]
+        numbers[name][law] = summary(motion, error, largest)
     claims = [claim(name, numbers[name]) for name in MODELS]
     return Result(claims, {"shape_error": numbers})
 
@@ -115,10 +119,12 @@ def claim(name: str, numbers: dict[str, dict[str, float]]) -> Claim:
     for part, key in zip(PARTS, keys, strict=True):
         time_back = when(back[key])
         time_ahead = when(ahead[key])
-        parts.append(f"{100 * part:g} % {time_back} ({time_ahead})")
+        percent = 100 * part
+        parts.append(f"{percent:g} % {time_back} ({time_ahead})")
     times = ", ".join(parts)
     sizes = f"rms {back['rms']:.2g} ({ahead['rms']:.2g})"
-    text = f"{sizes}; below {times}; at the end {back['end']:.1g} ({ahead['end']:.1g})"
+    ends = f"{back['end']:.1g} ({ahead['end']:.1g})"
+    text = f"{sizes}; below {times}; at the end {ends}"
     return Claim(
         "3(b)",
         f"feedback converges fast, {MODELS[name]}",
@@ -144,7 +150,8 @@ def draw_laws(
     # the first sample, at rest, has no error: a logarithmic axis has no place for it
     for (name, law), values in errors.items():
         times = motions[name, law].time
-        courses[f"{MODELS[name]}, {law}"] = (times[1:], values[1:])
+        label = f"{MODELS[name]}, {law}"
+        courses[label] = (times[1:], values[1:])
     draw_errors(error, courses, "shape error", "(b) shape error")
     rows = ((full, "paper", "c"), (under, "paper_16dof", "d"))
     for axes, name, letter in rows:

@@ -195,7 +195,8 @@ def claims(numbers: dict[str, dict[str, float]]) -> list[Claim]:
         is_calm = then < CALM * first
         is_smooth = is_calm and change < CALM * then
         saying = f"strengths high at first, then smooth, {name}"
-        claims.append(Claim(f"{SHOWN[name]}(b)", saying, text, is_smooth))
+        picture = f"{SHOWN[name]}(b)"
+        claims.append(Claim(picture, saying, text, is_smooth))
     # both figures
     full = numbers[FULL]
     under = numbers[UNDER]
@@ -268,8 +269,9 @@ def draw(
     courses = {}
     labels = (FULL, UNDER, PRINTED, SAMPLED[name])
     for label in labels:
-        error = tip_error(motions[label])
-        courses[f"(39), {label}"] = (motions[label].time, 1e3 * error)
+        motion = motions[label]
+        millimetres = 1e3 * tip_error(motion)
+        courses[f"(39), {label}"] = (motion.time, millimetres)
     draw_errors(errors, courses, "tip error [mm]", "(c) distance of the tip from the target")
     errors.axhline(1e3 * VERY_SMALL, color="black", linestyle=":", linewidth=1.0)
     save_figure(figure, path)

@@ -191,7 +191,10 @@ def draw(
         tips.set_prop_cycle(None)
     tips.set(xlabel="time [s]", ylabel="tip position [m]", title="(e) tip")
     tips.legend(frameon=False, fontsize="small", ncols=3)
-    courses = {label: (time[1:], 1e3 * mismatch[name][1:]) for name, label in REDUCED.items()}
+    courses = {}
+    for name, label in REDUCED.items():
+        millimetres = 1e3 * mismatch[name]
+        courses[label] = (time[1:], millimetres[1:])
     title = f"(f) distance of the tip from that of {FULL}"
     draw_errors(
         figure.add_subplot(grid[1, 1:]),

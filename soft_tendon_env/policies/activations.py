@@ -38,7 +38,9 @@ def _gelu(values: Single) -> Single:
 
 
 def _selu(values: Single) -> Single:
-    return SELU_SCALE * (np.maximum(values, ZERO) + SELU_ALPHA * _exp_below(values))
+    above = np.maximum(values, ZERO)
+    below = SELU_ALPHA * _exp_below(values)
+    return SELU_SCALE * (above + below)
 
 
 def _softplus(values: Single) -> Single:

@@ -192,9 +192,15 @@ def shipped_as(name: str, task: str) -> str:
         ValueError: agents.toml was damaged.
     """
     table = _agents_table()
-    folder_name = str(table.get(task)) if name == AGENT else name
+    folder_name = name
+    if name == AGENT:
+        folder_name = str(table.get(task))
     folder = trained_folder()
-    of_task = [known for known in shipped() if (folder / known / task / WEIGHTS).is_file()]
+    of_task = []
+    for known in shipped():
+        weights = folder / known / task / WEIGHTS
+        if weights.is_file():
+            of_task.append(known)
     if folder_name in of_task:
         return folder_name
     text = f"the agent {name!r} does not ship for {task}; what does: {', '.join(of_task) or 'none'}"
@@ -241,7 +247,8 @@ def read_config(folder: Path) -> AgentConfig:
 
     Raises ValueError, FileNotFoundError.
     """
-    return AgentConfig.parse(read_json(folder / CONFIG), str(folder / CONFIG))
+    path = folder / CONFIG
+    return AgentConfig.parse(read_json(path), str(path))
 
 
 class TrainingWarning(UserWarning):
@@ -395,7 +402,8 @@ def strain_of(scene: Scene) -> dict[str, Any]:
 
 def layout_of(episodes: Episodes) -> dict[str, int]:
     """Groups of an observation in their order, with their sizes."""
-    return {group: where.stop - where.start for group, where in episodes.layout.slices.items()}
+    slices = episodes.layout.slices
+    return {group: columns.stop - columns.start for group, columns in slices.items()}
 
 
 def _check_agent(
@@ -467,7 +475,9 @@ def _check_interface(name: str, config: AgentConfig, trained: Options, episodes:
         "observation": (_group_names(config.layout or layout), _group_names(layout)),
     }
     for key in SAME:
-        values[key] = (getattr(trained, key), getattr(episodes.options, key))
+        before = getattr(trained, key)
+        now = getattr(episodes.options, key)
+        values[key] = (before, now)
     if OF_COORDINATES & layout.keys():
         strain = config.strain or strain_of(resolved_scene(trained))
         values["strain"] = (strain, strain_of(episodes.model.scene))
@@ -480,7 +490,8 @@ def _check_interface(name: str, config: AgentConfig, trained: Options, episodes:
 
 def _group_names(layout: Mapping[str, int]) -> str:
     """Groups of a layout with their sizes, as words."""
-    return ", ".join(f"{group} ({size})" for group, size in layout.items())
+    parts = [f"{group} ({size})" for group, size in layout.items()]
+    return ", ".join(parts)
 
 
 def _warn_of_changes(
@@ -497,7 +508,9 @@ def _warn_of_changes(
     if not any(is_of(options, episodes.model.scene) for options in arms):
         for key in ARM:
             if key != "control_period":
-                values[key] = (getattr(trained, key), getattr(episodes.options, key))
+                before = getattr(trained, key)
+                now = getattr(episodes.options, key)
+                values[key] = (before, now)
     changes = []
     for key, (before, now) in values.items():
         if before != now:

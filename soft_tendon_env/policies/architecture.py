@@ -170,7 +170,8 @@ def _lstm_sizes(kind: Kind, arguments: Mapping[str, Any]) -> tuple[int, int]:
         )
     size = arguments.get("lstm_hidden_size", LSTM_SIZE)
     layers = arguments.get("n_lstm_layers", 1)
-    if not (type(size) is int and type(layers) is int and size > 0 and layers > 0):
+    are_counts = type(size) is int and type(layers) is int
+    if not (are_counts and size > 0 and layers > 0):
         raise ValueError(
             f"lstm_hidden_size is {size!r} and n_lstm_layers {layers!r}: they should be whole"
             " numbers above 0"
@@ -187,7 +188,8 @@ def hidden_units(kind: Kind, net_arch: Any) -> tuple[int, ...]:
         return HIDDEN[kind]
     units = net_arch.get("pi", ()) if isinstance(net_arch, Mapping) else net_arch
     is_list = isinstance(units, Sequence) and not isinstance(units, str)
-    if not is_list or not all(type(size) is int and size > 0 for size in units):
+    are_units = is_list and all(type(size) is int and size > 0 for size in units)
+    if not are_units:
         raise ValueError(
             f"net_arch is {net_arch!r}: it should be the units of hidden layers, [64, 64], or a"
             ' table with those of the policy as "pi"'

@@ -89,7 +89,8 @@ def observation_options(
     greatest = _greatest_timing(Timing(latency, None), estimator_entry)
     ahead = _periods_ahead(entry, greatest.latency, period)
     options: dict[str, Any] = {"action": "tension"}
-    options["preview"] = [period * k for k in range(1, ahead + 1)]
+    periods = range(1, ahead + 1)
+    options["preview"] = [period * k for k in periods]
     if estimator is not None or regime is not None:
         sensors = _among("regime", regime or "sensors", REGIMES)
         options["observation"] = (*sensors.measured, *reference)
@@ -278,7 +279,8 @@ def _controller(chosen: str | Entry, task: str) -> Entry:
     entries = controllers_of(task)
     if isinstance(chosen, str) and chosen in entries:
         return entries[chosen]
-    raise ValueError(f"controller is {shown(chosen)}: {valid_controllers(str(chosen), task)}")
+    valid = valid_controllers(str(chosen), task)
+    raise ValueError(f"controller is {shown(chosen)}: {valid}")
 
 
 def _among(kind: str, chosen: Any, valid: Mapping[str, Any]) -> Any:
@@ -289,7 +291,8 @@ def _among(kind: str, chosen: Any, valid: Mapping[str, Any]) -> Any:
         return valid[chosen]
     # users add to registries
     describe = not_registered if isinstance(valid, Registry) else not_among
-    raise ValueError(f"{kind} is {shown(chosen)}: {describe(str(chosen), valid)}")
+    hint = describe(str(chosen), valid)
+    raise ValueError(f"{kind} is {shown(chosen)}: {hint}")
 
 
 class ControllerPolicy:
@@ -388,7 +391,8 @@ class ControllerPolicy:
         Returns:
             Actions (n_a,), or (rows, n_a) for many, and the state to pass with the next ones.
         """
-        self._lost.notice(state is None and not np.any(episode_start))
+        is_first = np.any(episode_start)
+        self._lost.notice(state is None and not is_first)
         flat = observation
         goal = None
         if isinstance(observation, dict):
@@ -410,7 +414,8 @@ class ControllerPolicy:
             )
             before = self._fresh(groups) if memory is None else memory
             with one_thread():  # matrices are small
-                action, next_memory = self._decide(groups, poses[row], target, before)
+                pose = poses[row]
+                action, next_memory = self._decide(groups, pose, target, before)
             actions.append(action)
             after.append(next_memory)
         if np.ndim(flat) == 1:
@@ -477,7 +482,8 @@ class ControllerPolicy:
         action, asked, command = self._command(
             decision.tension, estimate.q, estimate.q_dot, memory.command
         )
-        sent = (*memory.sent[1:], asked)[: self._waiting]
+        every_sent = (*memory.sent[1:], asked)
+        sent = every_sent[: self._waiting]
         periods = memory.periods + 1
         return action, RowMemory(decision, asked, command, estimate, periods, sent)
 
@@ -500,7 +506,8 @@ class ControllerPolicy:
                 value = value + self._zeros[name]
             fields[name] = value
         history = self.estimator.history
-        sent = np.array(memory.sent[-history:] if history else ()).reshape(-1, self._start.size)
+        last_sent = memory.sent[-history:] if history else ()
+        sent = np.array(last_sent).reshape(-1, self._start.size)
         measurement = protocol.Measurement(pose, sent, time, **fields)
         return self.estimator.estimate(measurement, memory.estimate)
 
@@ -554,8 +561,10 @@ class ControllerPolicy:
         if (np.abs(cut) > round_off).any():
             # what limits or rate cut off a displacement, its spring lacks
             none = np.zeros_like(tension)
-            per_newton = self._model.command(none + 1.0, q) - self._model.command(none, q)
-            asked = np.maximum(tension + cut / per_newton, 0.0)
+            of_a_newton = self._model.command(none + 1.0, q)
+            of_none = self._model.command(none, q)
+            lacking = cut / (of_a_newton - of_none)
+            asked = np.maximum(tension + lacking, 0.0)
         return action, asked, sent
 
 
@@ -580,8 +589,10 @@ def _tip_poses(values: dict[str, Array]) -> Array:
     along = (x * y_rounded).sum(axis=1, keepdims=True)
     y = _unit(y_rounded - along * x)
     z = np.cross(x, y)
-    pose = np.tile(np.eye(4), (len(x), 1, 1))
-    pose[:, :3, :3] = np.stack([x, y, z], axis=2)
+    rotation = np.stack([x, y, z], axis=2)
+    shape = (len(x), 1, 1)
+    pose = np.tile(np.eye(4), shape)
+    pose[:, :3, :3] = rotation
     pose[:, :3, 3] = values["tip_position"]
     return pose
 

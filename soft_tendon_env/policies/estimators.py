@@ -73,7 +73,8 @@ def _checked_estimator(
         raise TypeError(
             f"the estimator {name!r}, {make.__qualname__}, lacks a method estimate(measured, last)"
         )
-    if not prefix[:-1].isidentifier() or not prefix.endswith(":"):
+    word = prefix[:-1]
+    if not word.isidentifier() or not prefix.endswith(":"):
         raise ValueError(
             f"the estimator {name!r} has prefix = {prefix!r}: it should be a word and a colon"
         )

@@ -95,7 +95,8 @@ class IntegralPolicy:
 
         Arguments are those of `ControllerPolicy.predict`.
         """
-        self._lost.notice(state is None and not np.any(episode_start))
+        is_first = np.any(episode_start)
+        self._lost.notice(state is None and not is_first)
         way = self.way_to_target(observation)
         integral = np.zeros_like(way)
         memory = None

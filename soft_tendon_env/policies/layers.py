@@ -45,7 +45,8 @@ class Renormalisation(NamedTuple):
     bias: Single  # (n,)
 
     def __call__(self, values: Single) -> Single:
-        return self.scale * ((values - self.mean) / self.deviation) + self.bias
+        normal = (values - self.mean) / self.deviation
+        return self.scale * normal + self.bias
 
 
 class Clip(NamedTuple):
@@ -117,9 +118,11 @@ class LstmLayer(NamedTuple):
         """
         sums = self.of_input(values) + self.of_hidden(hidden)
         enters, stays, candidate, leaves = np.split(sums, 4, axis=1)
-        cell = expit(stays) * cell + expit(enters) * np.tanh(candidate)
-        hidden = expit(leaves) * np.tanh(cell)
-        return hidden, cell
+        kept = expit(stays) * cell
+        taken = expit(enters) * np.tanh(candidate)
+        next_cell = kept + taken
+        next_hidden = expit(leaves) * np.tanh(next_cell)
+        return next_hidden, next_cell
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +150,9 @@ class Lstm:
         states = np.split(memory, 2 * len(self.layers), axis=1)
         values = seen
         following = []
-        for layer, hidden, cell in zip(self.layers, states[::2], states[1::2], strict=True):
+        hidden_states = states[::2]
+        cells = states[1::2]
+        for layer, hidden, cell in zip(self.layers, hidden_states, cells, strict=True):
             hidden, cell = layer(values, hidden, cell)
             following += [hidden, cell]
             values = hidden
@@ -198,7 +203,8 @@ class Actor:
         """
         scales = [plain]
         if self.fine:
-            scales.append(np.tanh(np.float32(self.fine) * plain))
+            magnified = np.float32(self.fine) * plain
+            scales.append(np.tanh(magnified))
         seen = np.concatenate(scales, axis=1)
         if self.gates is not None:
             seen, memory = self.gates(seen, memory)

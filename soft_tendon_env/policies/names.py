@@ -454,7 +454,8 @@ def _other_sizes(space: gym.Space[Any], episodes: Episodes) -> str:
     """Why an observation of another size may be of the same groups, in words; "": it is not."""
     box = space["observation"] if isinstance(space, gym.spaces.Dict) else space
     layout = layout_of(episodes)
-    sizes = ", ".join(f"{group} ({size})" for group, size in layout.items())
+    parts = [f"{group} ({size})" for group, size in layout.items()]
+    sizes = ", ".join(parts)
     depending = [group for group in layout if group in OF_COORDINATES]
     if not isinstance(box, gym.spaces.Box) or box.shape == episodes.layout.space.shape:
         return ""

@@ -32,7 +32,9 @@ class PolicyNetwork:
     def __init__(self, actor: Actor, observations: gym.Space[Any], actions: gym.spaces.Box) -> None:
         self.actor = actor
         self.observations = observations
-        self._bounds = (actions.low.astype(np.float32), actions.high.astype(np.float32))
+        least = actions.low.astype(np.float32)
+        greatest = actions.high.astype(np.float32)
+        self._bounds = (least, greatest)
         self._lost = LostState("what the policy remembers")
 
     @property
@@ -122,7 +124,8 @@ def flatten(observation: Any, space: gym.Space[Any]) -> tuple[Single, bool]:
     parts = []
     many = False
     for key, part in space.spaces.items():
-        rows, many = _rows(f"observation[{key!r}]", observation[key], part)
+        name = f"observation[{key!r}]"
+        rows, many = _rows(name, observation[key], part)
         parts.append(rows)
     return np.concatenate(parts, axis=1), many
 

@@ -46,12 +46,15 @@ class Normalization:
             return self._normalise(observation, self.moments[BOX])
         parts = dict(observation)
         for key in self.moments.keys() & parts.keys():
-            parts[key] = self._normalise(parts[key], self.moments[key])
+            moments = self.moments[key]
+            parts[key] = self._normalise(parts[key], moments)
         return parts
 
     def _normalise(self, values: Any, moments: Moments) -> Any:
-        scaled = (values - moments.mean) / np.sqrt(moments.variance + self.epsilon)
-        return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
+        deviation = np.sqrt(moments.variance + self.epsilon)
+        scaled = (values - moments.mean) / deviation
+        clipped = np.clip(scaled, -self.clip, self.clip)
+        return clipped.astype(np.float32)
 
 
 def normalization_of(statistics: Any) -> Normalization | None:
@@ -65,7 +68,10 @@ def normalization_of(statistics: Any) -> Normalization | None:
     if not isinstance(parts, dict):
         parts = {BOX: parts}
     keys = statistics.norm_obs_keys or [BOX]
-    moments = {key: Moments(parts[key].mean, parts[key].var) for key in keys}
+    moments = {}
+    for key in keys:
+        part = parts[key]
+        moments[key] = Moments(part.mean, part.var)
     return Normalization(moments, statistics.clip_obs, statistics.epsilon)
 
 
@@ -148,7 +154,9 @@ def _take_moments(arrays: dict[str, Array]) -> dict[str, Moments]:
 
 def _check_shapes(path: Path, moments: Mapping[str, Moments], space: gym.Space[Any]) -> None:
     """Raises ValueError where moments are of other observations than those of a space."""
-    spaces = space.spaces if isinstance(space, gym.spaces.Dict) else {BOX: space}
+    spaces = {BOX: space}
+    if isinstance(space, gym.spaces.Dict):
+        spaces = space.spaces
     shapes = {key: part.mean.shape for key, part in moments.items()}
     expected = {key: part.shape for key, part in spaces.items()}
     if shapes != expected:

@@ -67,11 +67,14 @@ def numbers_outside(trained: Options, scene: Scene) -> list[Outside]:
     counted = {number.key for number in outside}
     for key in sorted({*before, *now}):
         value = now.get(key)
-        if value == before.get(key) or key.partition(".")[0] in counted:
+        top_key = key.partition(".")[0]
+        if value == before.get(key) or top_key in counted:
             continue
         least, greatest = ranges.get(key, (np.inf, -np.inf))
         slack = ROUND_OFF * max(abs(least), abs(greatest))
-        if isinstance(value, float) and least - slack <= value <= greatest + slack:
+        lowest = least - slack
+        highest = greatest + slack
+        if isinstance(value, float) and lowest <= value <= highest:
             continue
         is_load = _effect_of(key) in names
         if is_load and (value is None or not _is_strength(key, ranges)):
@@ -185,7 +188,8 @@ def undisturbed(options: Mapping[str, Any]) -> dict[str, Any]:
         return arm
     left = {}
     for key, value in scene.items():
-        is_disturbance = key.startswith("effects.") and key.split(".")[1] in names
+        is_effect = key.startswith("effects.")
+        is_disturbance = is_effect and key.split(".")[1] in names
         if not is_disturbance:
             left[key] = value
     arm["scene"] = left["scene"] if left.keys() == {"scene"} else left
@@ -194,7 +198,8 @@ def undisturbed(options: Mapping[str, Any]) -> dict[str, Any]:
 
 def physics(scene: Scene, names: set[str]) -> dict[str, Any]:
     """Physical arm of a scene by the names of PHYSICS, without effects of these names."""
-    effects = {name: effect for name, effect in scene.effects.chosen().items() if name not in names}
+    chosen = scene.effects.chosen()
+    effects = {name: effect for name, effect in chosen.items() if name not in names}
     tables = {key: getattr(scene, key) for key in PHYSICS}
     return {**tables, "effects": effects}
 
@@ -212,6 +217,7 @@ def is_of(options: Options, scene: Scene) -> bool:
 
     It is of the same physical arm, and then the same at their fidelity.
     """
-    if physics(as_written(options), set()) != physics(scene, set()):
+    trained_scene = as_written(options)
+    if physics(trained_scene, set()) != physics(scene, set()):
         return False
     return resolved_scene(options).replace({"name": scene.name}) == scene

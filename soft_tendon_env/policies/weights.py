@@ -50,7 +50,8 @@ def acting_arrays(state: Mapping[str, Any]) -> dict[str, Single]:
     arrays = {}
     for name, tensor in state.items():
         if not name.startswith(LEARNING_ALONE) and not name.endswith(COUNTER):
-            arrays[name] = tensor.detach().cpu().numpy().astype(np.float32)
+            on_cpu = tensor.detach().cpu()
+            arrays[name] = on_cpu.numpy().astype(np.float32)
     return arrays
 
 
@@ -92,7 +93,8 @@ def build_network(
     parts = {"": observations}
     if isinstance(observations, gym.spaces.Dict):
         parts = dict(observations.spaces)
-    inputs = sum(math.prod(_box(space).shape) for space in parts.values())
+    sizes = [math.prod(_box(space).shape) for space in parts.values()]
+    inputs = sum(sizes)
     bounds = _box(actions)
     loader = _Loader(architecture, arrays, inputs, bounds.shape[0])
     actor = Actor(

@@ -110,7 +110,8 @@ def open_viewer(port: int) -> None:
     No Ctrl-C reaches it. Raises gymnasium.error.Error.
     """
     is_linux = sys.platform.startswith("linux")
-    if is_linux and not any(os.environ.get(name) for name in DISPLAYS):
+    has_display = any(os.environ.get(name) for name in DISPLAYS)
+    if is_linux and not has_display:
         raise Error(
             f"the Rerun viewer needs a display, and none of {', '.join(DISPLAYS)} is set: use"
             ' render_mode="rgb_array" or RecordRollout, or start a viewer first (`rerun'

@@ -84,7 +84,8 @@ def line_styles(arms: dict[str, DrawnArm]) -> dict[str, rr.SeriesLines]:
             colors = [arm.style.colour]
         for kind, series in arm.series.items():
             if kind in ("tension", "action"):
-                styles[f"{kind}/{part(name)}"] = rr.SeriesLines(names=series)
+                plot = f"{kind}/{part(name)}"
+                styles[plot] = rr.SeriesLines(names=series)
                 continue
             for scalar in series:
                 if kind == "error":
@@ -152,7 +153,8 @@ def _scenery(arms: dict[str, DrawnArm], trail: float) -> rrb.Spatial3DView:
     trails = dict[Any, Any]()
     for name in arms:
         for line in ("trail", "target_trail"):
-            trails[f"world/{part(name)}/{line}"] = rrb.VisibleTimeRanges([recent])
+            entity = f"world/{part(name)}/{line}"
+            trails[entity] = rrb.VisibleTimeRanges([recent])
     return rrb.Spatial3DView(
         origin="/world",
         name="arm" if len(arms) == 1 else "arms",

@@ -420,7 +420,8 @@ class RerunStream:
         for name in rollout.scalars:
             series.setdefault(_kind(name), []).append(name)
         # a layout takes space: not one for each arm that appears
-        if known.add_series(series) and all(each.series for each in self._arms.values()):
+        is_new = known.add_series(series)
+        if is_new and all(each.series for each in self._arms.values()):
             self._lay_out()
 
     def _lay_out(self) -> None:

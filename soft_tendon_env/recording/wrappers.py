@@ -67,7 +67,10 @@ class RowRecorder:
     def step(self) -> None:
         """Take the state after a step."""
         self._buffer.take()
-        if self._flush_period is not None and perf_counter() >= self._written + self._flush_period:
+        if self._flush_period is None:
+            return
+        due = self._written + self._flush_period
+        if perf_counter() >= due:
             self._write()
 
     def finish(self) -> None:

@@ -357,7 +357,8 @@ class MeasuredArm(Arms):
             self.robot.write(command)
             self.pacer.wait()
             measured = self.robot.read()
-            if k > 0 and (not last or measured.time_of_pose != last[-1][1].time_of_pose):
+            is_new = not last or measured.time_of_pose != last[-1][1].time_of_pose
+            if k > 0 and is_new:
                 last.append((k, measured))
             is_short = len(last) < window
             if is_short or k % between_looks:

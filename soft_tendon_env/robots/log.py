@@ -86,7 +86,8 @@ class RobotLog:
         if self._motions:
             self._hold = f"{self._hold}.{self._motions}"
         # for the first period: else it is no motion
-        self._waiting = [self._row(-period, measured_time, reading, command, command)]
+        row = self._row(-period, measured_time, reading, command, command)
+        self._waiting = [row]
 
     def append(
         self, time: float, measured_time: float, reading: Reading, asked: Array, sent: Array

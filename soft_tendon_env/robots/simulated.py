@@ -110,7 +110,10 @@ class SimulatedRobot:
         time = self._go_on()
         noisy = self._sensors.measured(self._arms.reading, self._readings, ROW)
         self._readings += 1
-        fields = {name: getattr(noisy, name)[0].copy() for name in noisy._fields}
+        fields = {}
+        for name in noisy._fields:
+            of_row = getattr(noisy, name)[0]
+            fields[name] = of_row.copy()
         twist = self._arms.reading.tip_twist[0]
         tip_twist = twist.copy()
         return Measurement(time, tip_twist=tip_twist, **fields)

@@ -149,7 +149,8 @@ def scene_with_numbers(scene: Scene, changes: Mapping[str, float]) -> Scene:
     Raises:
         ConfigurationError: for keys and values that are not allowed.
     """
-    effects = {key.split(".")[1] for key in changes if key.startswith("effects.")}
+    keys_of_effects = [key for key in changes if key.startswith("effects.")]
+    effects = {key.split(".")[1] for key in keys_of_effects}
     known = scene.effects.chosen().keys()
     lacking_effects = effects - known
     tables = dict[str, Any]()
@@ -234,7 +235,8 @@ def _by_entry(name: str, value: Any, entries: Mapping[str, Any]) -> list[tuple[s
         return [(name, value)]
     if _is_relative(value):
         return [(f"{name}.*", value)]
-    if not isinstance(value, list) or len(value) != len(places):
+    is_list = isinstance(value, list)
+    if not is_list or len(value) != len(places):
         _fail(
             name,
             f"is {shown(value)}: it should be a list of {len(places)}, each {NUMBER}; or"

@@ -196,7 +196,9 @@ class PassiveFields:
             **arrays,
         }
         # one key per line: an array's numbers stay together
-        lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in table.items()]
+        lines = []
+        for key, value in table.items():
+            lines.append(f"{json.dumps(key)}: {json.dumps(value)}")
         text = "{\n" + ",\n".join(lines) + "\n}\n"
         with replacing(path) as temporary:
             temporary.write_text(text)
@@ -223,7 +225,9 @@ def read_fields(path: Path) -> PassiveFields:
     """
     table = read_json(path)
     try:
-        arrays = {name: np.array(table[name], dtype=float) for name in ARRAYS}
+        arrays = {}
+        for name in ARRAYS:
+            arrays[name] = np.array(table[name], dtype=float)
         errors = {name: tuple(values) for name, values in table["errors"].items()}
         effects = Effects(**table["effects"])
         fields = PassiveFields(

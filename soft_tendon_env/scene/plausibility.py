@@ -213,7 +213,8 @@ def implausible(scene: Scene) -> Iterator[str]:
         share = ""
         if bound.share:
             share = f", {size:.3g} {bound.share}"
-        yield f"{quantity.key} is {quantity.value:g}{share}: {bound.question}"
+        value_and_share = f"{quantity.value:g}{share}"
+        yield f"{quantity.key} is {value_and_share}: {bound.question}"
 
 
 def _quantities(scene: Scene, arm: ArmScales) -> Iterator[Quantity]:

@@ -39,7 +39,8 @@ GREATEST_TENSION = 1e9  # [N], of limits
 
 
 def _is_range(limits: tuple[float, float]) -> tuple[float, float]:
-    if not -GREATEST_TENSION <= limits[0] < limits[1] <= GREATEST_TENSION:
+    least, greatest = limits
+    if not -GREATEST_TENSION <= least < greatest <= GREATEST_TENSION:
         raise ValueError(
             f"should be (least, greatest) with least < greatest, within ±{GREATEST_TENSION:g} N"
         )
@@ -636,7 +637,8 @@ def _effect_misfits(scene: Scene, segment: Segment, i: int) -> Iterator[Problem]
             )
             yield Problem(("effects", "nonlinear_elasticity", "bending"), text)
     discs = segment.discs
-    if scene.effects.fluid is not None and discs is not None and discs.thickness is None:
+    lacks_thickness = discs is not None and discs.thickness is None
+    if scene.effects.fluid is not None and lacks_thickness:
         yield Problem(
             ("segments", i, "discs", "thickness"), "is missing: in a fluid it is required"
         )

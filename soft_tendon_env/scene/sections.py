@@ -98,7 +98,9 @@ class Section(Configuration):
         for i, name in enumerate(self.sizes):
             size = getattr(self, name)
             if isinstance(size, Taper):
-                values[i], slopes[i] = size.size_and_slope(arc_length, length)
+                value, slope = size.size_and_slope(arc_length, length)
+                values[i] = value
+                slopes[i] = slope
             else:
                 values[i] = size
         return values, slopes

@@ -42,7 +42,8 @@ def read_arrays(path: Path) -> tuple[list[str], list[tuple[str, list[str]]]]:
         load = _matlab_arrays
     else:
         load = _numpy_arrays
-    arrays = {name: array for name, array in load(path).items() if array.dtype.kind in KINDS}
+    loaded = load(path)
+    arrays = {name: array for name, array in loaded.items() if array.dtype.kind in KINDS}
     row_count = _row_count(arrays)
     if row_count == 0:
         raise ValueError(f"{path} has no arrays of numbers: it should have a row for each sample")
@@ -144,8 +145,8 @@ def _flat(variables: Mapping[str, Any], prefix: str) -> dict[str, NDArray[Any]]:
             array = np.asarray(value)
             # a cell array of names has objects
             has_objects = array.dtype == object
-            is_text = has_objects and all(isinstance(cell, str) for cell in array.flat)
-            if is_text:
+            are_texts = all(isinstance(cell, str) for cell in array.flat)
+            if has_objects and are_texts:
                 arrays[prefix + name] = array.astype(str)
             else:
                 arrays[prefix + name] = array

@@ -35,7 +35,8 @@ def checked_array(
     if not is_finite.all():
         first = np.argwhere(~is_finite)[0]
         place = tuple(int(i) for i in first)
-        raise ValueError(f"{name} should be finite, but {name}{list(place)} is {array[place]}")
+        entry = f"{name}{list(place)} is {array[place]}"
+        raise ValueError(f"{name} should be finite, but {entry}")
     return np.array(array, dtype=np.float64, order="C")
 
 
@@ -93,7 +94,8 @@ def checked_type(name: str, value: object, kind: type[Kind], hint: str) -> Kind:
     Raises TypeError.
     """
     if not isinstance(value, kind):
-        raise TypeError(f"{name} should be a {kind.__name__} ({hint}), not {type(value).__name__}")
+        given = type(value).__name__
+        raise TypeError(f"{name} should be a {kind.__name__} ({hint}), not {given}")
     return value
 
 

@@ -44,7 +44,8 @@ def check_is_text(path: Path) -> None:
         if start.lstrip().startswith(beginning):
             kind = name
     mark = bytes([C3D])
-    if start[1:2] == mark and start[0] < 32:
+    has_mark = start[1:2] == mark
+    if has_mark and start[0] < 32:
         kind = "a C3D file of motion capture"
     # blocks that never came to the disk are zeros at the end of a text
     if not kind and b"\0" in start.rstrip(b"\0"):

@@ -33,7 +33,8 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
     Raises OSError.
     """
     exists = os.path.exists(path)
-    if exists and not (os.path.isfile(path) or os.path.isdir(path)):
+    is_readable = os.path.isfile(path) or os.path.isdir(path)
+    if exists and not is_readable:
         raise OSError(errno.EINVAL, "it should be a regular file", os.fspath(path))
     return Path(path).read_bytes()
 

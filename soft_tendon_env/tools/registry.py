@@ -244,7 +244,9 @@ def temporary_registrations() -> Iterator[None]:
     """Context at whose end every registry is as it was: for tests of what a module registers."""
     before = []
     for registry in _registries.values():
-        before.append((registry, dict(registry._entries), dict(registry._modules)))
+        entries = dict(registry._entries)
+        modules = dict(registry._modules)
+        before.append((registry, entries, modules))
     try:
         yield
     finally:

@@ -42,7 +42,11 @@ def column_names(header: Sequence[str], above: Sequence[Sequence[str]]) -> list[
     if not any(is_repeated):
         return [*header]
     by_nearness = [_filled(line, is_repeated) for line in reversed(above)]
-    named = [line for line in by_nearness if NAME in [cell.casefold() for cell in line[:2]]]
+    named = []
+    for line in by_nearness:
+        first_cells = [cell.casefold() for cell in line[:2]]
+        if NAME in first_cells:
+            named.append(line)
     # of a rigid body, Position and Rotation are the nearest line, beneath that of the names
     candidates = [[line] for line in named or by_nearness]
     pairs = [[line, by_nearness[0]] for line in named or by_nearness[1:]]

@@ -162,8 +162,10 @@ def _is_title(lines: Sequence[str], i: int, separator: str) -> bool:
     before = _cells(lines[i - 1], separator)
     if any(before):
         return False
-    titles = [cell for cell in _cells(lines[i], separator) if cell]
-    rates = [cell for cell in _cells(lines[i + 1], separator) if cell]
+    title_cells = _cells(lines[i], separator)
+    rate_cells = _cells(lines[i + 1], separator)
+    titles = [cell for cell in title_cells if cell]
+    rates = [cell for cell in rate_cells if cell]
     are_single = len(titles) == 1 and len(rates) == 1
     if not are_single:
         return False
@@ -293,4 +295,5 @@ def read_numbers(path: Path, needed: Sequence[str] = ()) -> list[dict[str, float
         )
     columns = ((name, 1.0) for name in table.header)
     values = table.numbers(columns)
-    return [dict(zip(table.header, row, strict=True)) for row in values.tolist()]
+    rows = values.tolist()
+    return [dict(zip(table.header, row, strict=True)) for row in rows]

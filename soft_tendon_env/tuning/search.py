@@ -61,7 +61,8 @@ class Parameter(Configuration):
         is_range = False
         if self.low is not None and self.high is not None:
             is_positive = self.low > 0
-            is_range = self.low < self.high and (is_positive or not self.log)
+            allows_log = is_positive or not self.log
+            is_range = self.low < self.high and allows_log
         if is_range == bool(self.choices):
             text = (
                 "is no range: it should have low < high (both positive where log = true),"

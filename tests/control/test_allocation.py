@@ -16,10 +16,14 @@ def problem(request):
     """A random full-rank task |A x - b|^2 with bounds: A (m + 2, m), b, least, greatest."""
     rng = np.random.default_rng(request.param)
     size = rng.integers(1, 13)
-    A = rng.normal(size=(size + 2, size))
-    b = 3.0 * rng.normal(size=size + 2)
-    unit = 10.0 ** rng.uniform(-3.0, 3.0)
-    return unit * A, unit * b, rng.uniform(-1.0, 0.0, size), rng.uniform(0.0, 1.0, size)
+    conditions = size + 2
+    A = rng.normal(size=(conditions, size))
+    b = 3.0 * rng.normal(size=conditions)
+    magnitude = rng.uniform(-3.0, 3.0)
+    unit = 10.0**magnitude
+    least = rng.uniform(-1.0, 0.0, size)
+    greatest = rng.uniform(0.0, 1.0, size)
+    return unit * A, unit * b, least, greatest
 
 
 def test_another_solver_agrees_and_the_conditions_of_an_optimum_hold(problem):

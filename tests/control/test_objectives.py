@@ -140,10 +140,12 @@ def test_the_velocity_is_the_target_s(model, objective, time):
     too."""
     path = [model.rest_coordinates([1.0 + 0.3 * i, 0.1 * i, 0.4]) for i in range(4)]
     target = target_through(model, path, (0.0, 0.02, 0.04, 0.06))
-    q = path[0] + time / 0.02 * (path[1] - path[0])
+    between = time / 0.02 * (path[1] - path[0])
+    q = path[0] + between
     h = 1e-3
     now = aim_from(model, objective, target, q, time=time)
-    later = aim_from(model, objective, target, q, time=time + h)
+    moment_later = time + h
+    later = aim_from(model, objective, target, q, time=moment_later)
     short = aim_from(model, objective, target, q, time=time, period=h)
     speed = np.linalg.norm(short.velocity)
     assert np.linalg.norm(now.error) < 1e-3
@@ -158,12 +160,18 @@ def test_the_velocity_of_a_pose_is_its_twist_in_the_frame_of_the_tip(model, rand
     q = random_state(model, 0)[0]
     tip_pose = model.tip_pose(q)
     twist = np.array([0.3, -1.0, 0.5, 0.1, 0.2, -0.3])
-    start = moved_pose(tip_pose, np.array([0.5, 1.0, -0.7, 0.1, 0.2, 0.1]))
+    way_to_start = np.array([0.5, 1.0, -0.7, 0.1, 0.2, 0.1])
+    start = moved_pose(tip_pose, way_to_start)
     end = moved_pose(start, PERIOD * twist)
-    target = Reference(np.array([0.0, PERIOD]), np.stack([start, end]))
-    velocity = aim_from(model, TipPose(0.03), target, q).velocity
-    in_frame_of_tip = adjoint(inverse_pose(tip_pose) @ start) @ twist
-    np.testing.assert_allclose(velocity / np.repeat([0.03, 1.0], 3), in_frame_of_tip, atol=1e-10)
+    times = np.array([0.0, PERIOD])
+    poses = np.stack([start, end])
+    target = Reference(times, poses)
+    radian = 0.03
+    velocity = aim_from(model, TipPose(radian), target, q).velocity
+    units = np.repeat([radian, 1.0], 3)
+    start_from_tip = inverse_pose(tip_pose) @ start
+    in_frame_of_tip = adjoint(start_from_tip) @ twist
+    np.testing.assert_allclose(velocity / units, in_frame_of_tip, atol=1e-10)
 
 
 def test_the_velocity_of_a_shape_is_the_same_from_everywhere(model, random_state):

@@ -70,11 +70,18 @@ def test_innovations_that_surprise_everybody_tell_less():
 
 def test_the_sharp_weights_take_the_motions_as_they_are_linearised():
     bank = timing_bank.first_bank(1, Timing(None, 0.0), Timing(0.004, 0.0), 0.5)
-    innovations = np.array([[0.0, 2.0]])
-    judged = timing_bank.judged(bank, innovations, np.array([[0.1]]), np.eye(1))
-    expected = np.exp(-2.0)
-    assert judged.sharp_weight[1] / judged.sharp_weight[0] == pytest.approx(expected)
-    assert judged.weight[1] / judged.weight[0] == pytest.approx(np.exp(-0.02))
+    innovation = 2.0  # of the second timing; the first has none
+    innovations = np.array([[0.0, innovation]])
+    inverse_deviation = 0.1
+    root = np.array([[inverse_deviation]])
+    sharp_root = np.eye(1)
+    judged = timing_bank.judged(bank, innovations, root, sharp_root)
+    weight_first, weight_second = judged.weight
+    sharp_first, sharp_second = judged.sharp_weight
+    expected_ratio = np.exp(-0.5 * (inverse_deviation * innovation) ** 2)
+    expected_sharp_ratio = np.exp(-0.5 * innovation**2)
+    assert weight_second / weight_first == pytest.approx(expected_ratio)
+    assert sharp_second / sharp_first == pytest.approx(expected_sharp_ratio)
 
 
 def test_the_unlikely_are_given_up():

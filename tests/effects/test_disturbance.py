@@ -134,14 +134,23 @@ def tip_at(model, q, time):
     work = make_workspace(model.arm)
     work.strain.xi[:] = model.arm.rod.reference_strain
     work.inputs.clock[0] = time
-    assert evaluate(model.arm, np.zeros(3), q, still, 1e-12, work) == -1
+    slack = np.zeros(3)
+    failed_node = evaluate(model.arm, slack, q, still, 1e-12, work)
+    assert failed_node == -1
+    nodes = work.kinematics
+    pose = of_last_node(nodes.pose, 12)
     g = np.eye(4)
-    tip = work.kinematics.pose.reshape(-1, 12, 4)[-1, :, -1]
-    g[:3, :3] = tip[:9].reshape(3, 3)
-    g[:3, 3] = tip[9:]
-    twist = work.kinematics.eta.reshape(-1, 6, 4)[-1, :, -1]
-    rate = work.kinematics.eta_bias.reshape(-1, 6, 4)[-1, :, -1]
-    return g, twist.copy(), rate.copy()
+    g[:3, :3] = pose[:9].reshape(3, 3)
+    g[:3, 3] = pose[9:]
+    twist = of_last_node(nodes.eta, 6)
+    rate = of_last_node(nodes.eta_bias, 6)
+    return g, twist, rate
+
+
+def of_last_node(packs, size):
+    """Numbers (size,) of the last node, of packs of four nodes each."""
+    by_pack = packs.reshape(-1, size, 4)
+    return by_pack[-1, :, -1].copy()
 
 
 @pytest.mark.no_jit

@@ -119,11 +119,15 @@ SINE = {"type": "sine", "frequency": 2.0, "phase": 30.0}
 
 def test_signals_are_pulses_sines_and_constants():
     pulse, sine, always = rows_of(PULSE, SINE, None).loads
-    times = [0.0, 0.0999, 0.1 - 0.5 * EDGE, 0.1, 0.14, 0.15 - 2 * EDGE, 0.15, 1.0]
-    found = [signal_at(pulse, time) for time in times]
-    assert found == [0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0]
+    within_edge_of_start = 0.1 - 0.5 * EDGE
+    before_edge_of_end = 0.15 - 2 * EDGE
+    for time in (within_edge_of_start, 0.1, 0.14, before_edge_of_end):
+        assert signal_at(pulse, time) == 1.0
+    for time in (0.0, 0.0999, 0.15, 1.0):
+        assert signal_at(pulse, time) == 0.0
+    phase = np.radians(30.0)
     for time in (0.0, 0.07, 3.3):
-        expected = np.sin(2.0 * np.pi * 2.0 * time + np.radians(30.0))
+        expected = np.sin(2.0 * np.pi * 2.0 * time + phase)
         assert signal_at(sine, time) == pytest.approx(expected, abs=1e-12)
         assert signal_at(always, time) == 1.0
 
@@ -159,12 +163,21 @@ def test_weights_are_exact_for_cubics_between_borders():
     def cubic(s):
         return s * (2.0 - 3.0 * s + 40.0 * s**2)
 
-    np.testing.assert_allclose(weights(rod, places) @ cubic(rod.node), cubic(places), atol=1e-14)
+    four = weights(rod, places)
+    interpolated = four @ cubic(rod.node)
+    np.testing.assert_allclose(interpolated, cubic(places), atol=1e-14)
     linear = weights(rod, places, 2)
     np.testing.assert_allclose(linear @ rod.node, places, atol=1e-14)
     assert linear.min() > -1e-12
-    assert (np.count_nonzero(np.abs(linear) > 1e-12, axis=1) <= 2).all()
+    is_used = np.abs(linear) > 1e-12
+    nodes_per_place = np.count_nonzero(is_used, axis=1)
+    assert (nodes_per_place <= 2).all()
     # none reaches beyond the end of a tendon
-    four = weights(rod, places)
-    assert np.abs(four[places < 0.2][:, rod.node > 0.2 + 1e-9]).max() < 1e-12
-    assert np.abs(four[places > 0.2][:, rod.node < 0.2 - 1e-9]).max() < 1e-12
+    before_end = places < 0.2
+    beyond_end = places > 0.2
+    nodes_before_end = rod.node < 0.2 - 1e-9
+    nodes_beyond_end = rod.node > 0.2 + 1e-9
+    reach_forwards = four[before_end][:, nodes_beyond_end]
+    reach_backwards = four[beyond_end][:, nodes_before_end]
+    assert np.abs(reach_forwards).max() < 1e-12
+    assert np.abs(reach_backwards).max() < 1e-12

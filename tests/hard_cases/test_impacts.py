@@ -147,10 +147,15 @@ class Case:
     def depth(self, places, period):
         """How deep [m] the axis came to be in the obstacle, on straight ways between its places."""
         contact = Contact(obstacles=[self.obstacle])
+        shares = np.linspace(0.0, 1.0, 5, endpoint=False)
         deepest = 0.0
-        for i, (a, b) in enumerate(zip(places[:-1], places[1:], strict=True)):
-            for t in np.linspace(0.0, 1.0, 5, endpoint=False):
-                deepest = max(deepest, -contact.distances(a + t * (b - a), (i + t) * period).min())
+        ways = zip(places[:-1], places[1:], strict=True)
+        for step, (start, end) in enumerate(ways):
+            for share in shares:
+                between = start + share * (end - start)
+                time = (step + share) * period
+                least_distance = contact.distances(between, time).min()
+                deepest = max(deepest, -least_distance)
         return deepest
 
 

@@ -159,16 +159,46 @@ def test_another_seed_of_a_further_training_compares_with_those_that_ship(tmp_pa
         check_alike([fifth, tmp_path], "TipPose")
 
 
-def test_what_a_cost_does_not_read_is_left_out_and_what_it_reads_stays(write):
-    path = write(
-        "mine.toml",
-        """
-        extends = "base.toml"
-        hyperparameters.angle_scale = 0.1
-        hyperparameters.smoothness = 2.0
-        """,
+SCALED = (
+    'extends = "base.toml"\nhyperparameters.angle_scale = 0.1\nhyperparameters.smoothness = 2.0'
+)
+"""A training with a hyperparameter that the errors alone read, and one that every cost reads."""
+
+
+def test_what_a_cost_does_not_read_of_the_extended_file_is_left_out(write):
+    write("scaled.toml", SCALED)
+    path = write("mine.toml", 'extends = "scaled.toml"\nhyperparameters.cost = "reward"')
+    further = write("further.toml", 'extends = "mine.toml"\nsteps = 5')
+    scaled = read_training(path.with_name("scaled.toml")).hyperparameters
+    assert scaled["angle_scale"] == 0.1
+    for file in (path, further):
+        by_reward = read_training(file).hyperparameters
+        assert scaled.keys() - by_reward.keys() == {"angle_scale"}
+        assert by_reward["smoothness"] == 2.0
+
+
+def test_an_extended_file_that_sets_what_its_own_cost_does_not_read_is_refused(write):
+    write("scaled.toml", SCALED + '\nhyperparameters.cost = "reward"')
+    path = write("mine.toml", 'extends = "scaled.toml"\nsteps = 5')
+    with pytest.raises(ConfigurationError, match="angle_scale is 0.1: it should be left out"):
+        read_training(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "changes"),
+    [
+        ('hyperparameters.cost = "reward"\nhyperparameters.far_weight = 0.2', ()),
+        ('hyperparameters.cost = "reward"', ["hyperparameters.far_weight=0.2"]),
+        ("hyperparameters.far_weight = 0.2", ["hyperparameters.cost=reward"]),
+    ],
+    ids=["file", "set", "set cost"],
+)
+def test_what_a_cost_does_not_read_is_refused_where_a_user_sets_it(write, text, changes):
+    path = write("mine.toml", f'extends = "base.toml"\n{text}')
+    with pytest.raises(ConfigurationError) as refused:
+        read_training(path, changes)
+    source = f"{path}, changed" if changes else str(path)
+    assert str(refused.value) == (
+        f"{source}: hyperparameters.far_weight is 0.2: it should be left out with cost = 'reward',"
+        " which does not read it; cost = 'errors' does"
     )
-    by_errors = read_training(path).hyperparameters
-    by_reward = read_training(path, ["hyperparameters.cost=reward"]).hyperparameters
-    assert by_errors.keys() - by_reward.keys() == {"angle_scale"}
-    assert by_reward["smoothness"] == 2.0

@@ -14,66 +14,56 @@ from soft_tendon_env.scene.file import load_scene
 LENGTH = 0.3  # [m]
 BENDING = 5e5 * np.pi * 0.01**4 / 4  # [N m^2]
 TENSION = np.array([2.0, 0.5, 1.0])  # [N]
-WEIGHT = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
-
-
-def arm_bent_by(strains, changes=None):
-    """The arm with three tendons, whose coordinates are constant curvatures."""
-    modes = [{"strains": strains, "order": 0, "span": "rod"}]
-    strain = {"type": "explicit", "modes": modes}
-    scene = load_scene("three_tendon").replace({"strain": strain, **(changes or {})})
-    return model_on(scene, 4)
 
 
 @pytest.fixture
-def bent():
-    """A balance of an arm with two curvatures under its weight."""
-    model = arm_bent_by(["bend_y", "bend_z"], WEIGHT)
-    with model.workspace() as work:
-        yield Balance(model, TENSION, work)
+def balance(bent):
+    """That of the arm with two curvatures under its weight."""
+    with bent.workspace() as work:
+        yield Balance(bent, TENSION, work)
 
 
-def test_a_balance_has_its_derivatives(bent):
+def test_a_balance_has_its_derivatives(balance):
     """S = -df/dq, its inverse, and how the equilibrium moves with the part of the load."""
     q = np.array([1.5, -0.7])
     part = 0.6
-    here = bent.linearise(q, part)
+    here = balance.linearise(q, part)
     size = np.abs(here.stiffness).max()
     h = 1e-5
     for column, unit in enumerate(np.eye(2)):
-        ahead = bent.at(q + h * unit, part).force
-        behind = bent.at(q - h * unit, part).force
+        ahead = balance.at(q + h * unit, part).force
+        behind = balance.at(q - h * unit, part).force
         slope = (behind - ahead) / (2.0 * h)
         np.testing.assert_allclose(here.stiffness[:, column], slope, atol=1e-6 * size)
     product = here.compliance @ here.stiffness
     np.testing.assert_allclose(product, np.eye(2), atol=1e-9)
-    more = bent.at(q, part + h).force
-    less = bent.at(q, part - h).force
+    more = balance.at(q, part + h).force
+    less = balance.at(q, part - h).force
     rate = (more - less) / (2.0 * h)
     moved = here.stiffness @ here.tangent
     np.testing.assert_allclose(moved, rate, rtol=1e-6, atol=1e-9)
 
 
-def test_the_residual_is_the_angle_that_the_force_bends_by(bent):
+def test_the_residual_is_the_angle_that_the_force_bends_by(balance):
     """sqrt(f^T G^-1 f / (E + q^T G q)), with twice the energy E of bending by 1 rad."""
     q = np.array([1.5, -0.7])
-    found = bent.at(q, 0.6)
+    found = balance.at(q, 0.6)
     answer = np.linalg.solve(found.G, found.force)
     unbalanced = found.force @ answer
     stored = BENDING / LENGTH + q @ found.G @ q
     expected_residual = np.sqrt(unbalanced / stored)
     assert found.residual == pytest.approx(expected_residual)
-    turned = bent.angle(answer)
+    turned = balance.angle(answer)
     metric = BENDING * LENGTH
     squared = metric * (answer @ answer)
     expected_turned = np.sqrt(squared * LENGTH / BENDING)
     assert turned == pytest.approx(expected_turned)
 
 
-def test_steps_along_a_path_are_cubics_through_equilibria(bent, monkeypatch):
+def test_steps_along_a_path_are_cubics_through_equilibria(balance, monkeypatch):
     """Their middles are off one by the fourth power of the step, judged by either end's
     stiffness."""
-    path = LoadPath(bent)
+    path = LoadPath(balance)
     begin = path.equilibrium(np.zeros(2), 0.4)
     strays = []
     seen = []
@@ -83,8 +73,8 @@ def test_steps_along_a_path_are_cubics_through_equilibria(bent, monkeypatch):
         size = stray(middle, point, ahead)
         strays.append(size)
         part = 0.5 * (point.evaluation.part + ahead.evaluation.part)
-        force = bent.at(middle, part).force
-        ways = [bent.angle(end.compliance @ force) for end in (point, ahead)]
+        force = balance.at(middle, part).force
+        ways = [balance.angle(end.compliance @ force) for end in (point, ahead)]
         seen.append(max(ways))
         return size
 
@@ -98,15 +88,15 @@ def test_steps_along_a_path_are_cubics_through_equilibria(bent, monkeypatch):
 
 
 @pytest.mark.parametrize(("stray", "is_taken"), [(0.09, True), (0.11, False)])
-def test_steps_off_their_path_are_not_taken(bent, monkeypatch, stray, is_taken):
+def test_steps_off_their_path_are_not_taken(balance, monkeypatch, stray, is_taken):
     """By more than a tenth of a radian in their middle, of an arm that is stiff at both ends."""
-    path = LoadPath(bent)
+    path = LoadPath(balance)
     begin = path.equilibrium(np.zeros(2), 0.4)
     assert begin.stability.least > SOFT
     monkeypatch.setattr(path, "_stray", lambda *middle: stray)
     end = path.step(begin, 0.5)
     assert (end is not None) == is_taken
-    assert bool(bent.obstacle) != is_taken
+    assert bool(balance.obstacle) != is_taken
 
 
 @pytest.mark.parametrize(("share", "is_continuous"), [(0.5, True), (1.5, False)])
@@ -133,11 +123,11 @@ def with_stiffness(balance, stiffness):
 
 
 @pytest.mark.parametrize(("share", "flutters"), [(0.9, False), (1.1, True)])
-def test_loads_that_turn_the_arm_about_make_it_flutter(bent, share, flutters):
+def test_loads_that_turn_the_arm_about_make_it_flutter(balance, share, flutters):
     """m q_ddot + d q_dot + (k 1 + c J) q = 0 has s^2 m + s d + k = +-i c, which grows beyond c = d
     sqrt(k / m)."""
     still = np.zeros(2)
-    terms = bent.model.terms(still, still)
+    terms = balance.model.terms(still, still)
     mass = terms.mass[0, 0]
     damping = terms.damping[0, 0]
     stiffness = BENDING * LENGTH
@@ -147,7 +137,7 @@ def test_loads_that_turn_the_arm_about_make_it_flutter(bent, share, flutters):
     np.testing.assert_allclose(terms.damping, expected_damping, rtol=1e-9, atol=1e-12)
     circulation = share * damping * np.sqrt(stiffness / mass)
     turning = circulation * np.array([[0.0, 1.0], [-1.0, 0.0]])
-    stability = with_stiffness(bent, stiffness * np.eye(2) + turning).stability
+    stability = with_stiffness(balance, stiffness * np.eye(2) + turning).stability
     assert not stability.has_potential
     assert stability.flutters == flutters
     assert stability.stable != flutters
@@ -156,32 +146,32 @@ def test_loads_that_turn_the_arm_about_make_it_flutter(bent, share, flutters):
 
 
 @pytest.mark.parametrize(("least", "stable"), [(0.3, True), (0.0, True), (-0.01, False)])
-def test_an_arm_is_stable_down_to_no_stiffness(bent, least, stable):
+def test_an_arm_is_stable_down_to_no_stiffness(balance, least, stable):
     """By the least eigenvalue over that of the unloaded arm, whose mode bends by 1 rad."""
     direction = np.array([0.6, 0.8])
     other = np.array([-0.8, 0.6])
     stiffness = least * np.outer(direction, direction) + np.outer(other, other)
-    point = with_stiffness(bent, BENDING * LENGTH * stiffness)
+    point = with_stiffness(balance, BENDING * LENGTH * stiffness)
     stability = point.stability
     assert stability.has_potential
     assert stability.stable == stable
     assert stability.least == pytest.approx(least, abs=1e-9)
     softest = stability.modes[:, 0]
-    assert bent.angle(softest) == pytest.approx(1.0)
+    assert balance.angle(softest) == pytest.approx(1.0)
     assert abs(softest @ other) < 1e-9
 
 
-def test_neutral_modes_have_no_compliance_and_others_theirs(bent):
+def test_neutral_modes_have_no_compliance_and_others_theirs(balance):
     """Where a buckled column rests to any side."""
     direction = np.array([0.6, 0.8])
     stiff = BENDING * LENGTH * np.outer(direction, direction)
-    compliance = bent._inverse(stiff)
+    compliance = balance._inverse(stiff)
     expected = np.outer(direction, direction) / (BENDING * LENGTH)
     largest = np.abs(expected).max()
     np.testing.assert_allclose(compliance, expected, atol=1e-9 * largest)
     singular = np.array([[1.0, 1.0], [0.0, 0.0]])
-    assert bent._inverse(BENDING * LENGTH * singular) is None
-    assert "gives way without further load" in bent.obstacle
+    assert balance._inverse(BENDING * LENGTH * singular) is None
+    assert "gives way without further load" in balance.obstacle
 
 
 @pytest.mark.parametrize(
@@ -189,15 +179,17 @@ def test_neutral_modes_have_no_compliance_and_others_theirs(bent):
     [([0.6, 0.8], "snaps"), ([-0.8, 0.6], "buckles")],
     ids=["snaps", "buckles"],
 )
-def test_a_soft_arm_snaps_along_its_softest_mode_and_buckles_beside_it(bent, tangent, reason):
+def test_a_soft_arm_snaps_along_its_softest_mode_and_buckles_beside_it(balance, tangent, reason):
     """By the way on which the load moves it: a limit point, or a bifurcation."""
     softest = np.array([0.6, 0.8])
     other = np.array([-0.8, 0.6])
     stiffness = 0.1 * np.outer(softest, softest) + np.outer(other, other)
-    point = with_stiffness(bent, BENDING * LENGTH * stiffness)
-    moved = Linearised(bent, point.evaluation, point.stiffness, point.compliance, np.array(tangent))
+    point = with_stiffness(balance, BENDING * LENGTH * stiffness)
+    moved = Linearised(
+        balance, point.evaluation, point.stiffness, point.compliance, np.array(tangent)
+    )
     percent = 100.0 * point.evaluation.part
-    told = LoadPath(bent)._reason(moved)
+    told = LoadPath(balance)._reason(moved)
     assert told.startswith(f"beyond {percent:.4g} % of the load: the arm ")
     assert reason in told
 
@@ -211,7 +203,13 @@ L) / k has no least at k = 0 beyond it."""
 def test_a_column_settles_beyond_its_buckling_load_at_the_least_of_its_energy(share):
     """Slowly loaded it buckles there; let go it comes to rest bent to either side."""
     push = share * CRITICAL
-    model = arm_bent_by(["bend_z"], {"effects.tip_load.force": [-push, 0.0, 0.0]})
+    modes = [{"strains": ["bend_z"], "order": 0, "span": "rod"}]
+    changes = {
+        "strain": {"type": "explicit", "modes": modes},
+        "effects.tip_load.force": [-push, 0.0, 0.0],
+    }
+    scene = load_scene("three_tendon").replace(changes)
+    model = model_on(scene, 4)
     slack = np.zeros(3)
     loaded = static_equilibrium(model, slack)
     settled = static_equilibrium(model, slack, settle=True)

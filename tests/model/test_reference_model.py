@@ -117,8 +117,12 @@ def error_of(monkeypatch):
         monkeypatch.setattr(judged, "reference_model", lambda scene, level: next(levels))
         monkeypatch.setattr(judged, "nearest_strain", lambda *models: np.zeros(1))
         monkeypatch.setattr(judged, "rest_near", TipAt.rest)
-        error = equilibrium_error(TipAt(0.0), np.zeros(1), np.zeros(3), 1.0, True)
-        return error, len(tips) - len(list(levels))
+        model = TipAt(0.0)
+        q = np.zeros(1)
+        tension = np.zeros(3)
+        error = equilibrium_error(model, q, tension, 1.0, True)
+        not_looked_at = list(levels)
+        return error, len(tips) - len(not_looked_at)
 
     return judge
 

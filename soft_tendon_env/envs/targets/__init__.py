@@ -200,7 +200,8 @@ def _up_to(greatest: float) -> BeforeValidator:
         else:
             ends = (value, value)
         are_numbers = all(type(end) in (int, float) for end in ends)
-        if not are_numbers or not 0.0 < ends[0] <= ends[1] <= greatest:
+        least, most = ends
+        if not are_numbers or not 0.0 < least <= most <= greatest:
             raise ValueError(
                 f"should be a number greater than 0 and at most {greatest:g}, or (least, greatest)"
             )

@@ -196,7 +196,9 @@ def _read_poses(path: str) -> Array:
         raise ValueError(message)
     columns = ((name, 1.0) for name in COLUMNS)
     rows = table.numbers(columns)
-    if len(rows) < 2 or not np.isfinite(rows).all() or np.diff(rows[:, 0]).min() <= 0.0:
+    times = rows[:, 0]
+    are_numbers = np.isfinite(rows).all()
+    if len(rows) < 2 or not are_numbers or np.diff(times).min() <= 0.0:
         raise ValueError("should have at least two rows of numbers, with times that grow")
     quaternions = rows[:, 4:]
     lengths = np.linalg.norm(quaternions, axis=1)

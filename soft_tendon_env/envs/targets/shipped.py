@@ -112,7 +112,8 @@ def _is_pose(g: Array) -> bool:
     )
     is_last_row = g[3] == [0, 0, 0, 1]
     is_homogeneous = is_last_row.all()
-    return bool(is_rotation and is_homogeneous and np.abs(r).max() <= FARTHEST)
+    is_near = np.abs(r).max() <= FARTHEST
+    return bool(is_rotation and is_homogeneous and is_near)
 
 
 class FixedPose(PoseCourse):
@@ -215,7 +216,9 @@ class Circle(Target):
     period: Positive = 4.0
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        return CircleCourse(self, setting.arms.model.length, setting.model.scene.base.pose)
+        length = setting.arms.model.length
+        base_pose = setting.model.scene.base.pose
+        return CircleCourse(self, length, base_pose)
 
 
 class CircleCourse(PoseCourse):

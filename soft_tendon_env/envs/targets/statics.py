@@ -306,7 +306,8 @@ class EquilibriumPath:
         q = np.array(equilibria)
         is_same = tension[-1] == tension[0]
         comes_back = is_same.all()
-        if comes_back and not self._balance.angle(q[-1] - q[0]) <= SAME:
+        change = q[-1] - q[0]
+        if comes_back and not self._balance.angle(change) <= SAME:
             raise NoEquilibrium(tension[0], JUMPS)
         return q
 

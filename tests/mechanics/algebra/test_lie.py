@@ -269,14 +269,21 @@ def test_transposed_tangents_are_the_transposes_of_the_tangent_and_its_inverse(a
     rng = np.random.default_rng(3)
     x = rng.normal(size=6)
     x[:3] *= angle / np.linalg.norm(x[:3])
-    T = matrix(lambda y: tangent(pair(x), y))
-    T_opposite = matrix(lambda y: tangent(pair(-x), y))
-    transposed = matrix(lambda psi: transposed_tangents(pair(x), psi)[0])
-    inverse = matrix(lambda psi: transposed_tangents(pair(x), psi)[1])
-    opposite = matrix(lambda psi: transposed_tangents(pair(x), psi)[2])
+    Omega = pair(x)
+    Omega_opposite = pair(-x)
+    T = matrix(lambda y: tangent(Omega, y))
+    T_opposite = matrix(lambda y: tangent(Omega_opposite, y))
+
+    def result_matrix(position):
+        return matrix(lambda psi: transposed_tangents(Omega, psi)[position])
+
+    transposed = result_matrix(0)
+    inverse = result_matrix(1)
+    opposite = result_matrix(2)
+    identity = np.eye(6)
     np.testing.assert_allclose(transposed, T.T, atol=1e-13)
-    np.testing.assert_allclose(inverse @ T.T, np.eye(6), atol=1e-12)
-    np.testing.assert_allclose(opposite @ T_opposite.T, np.eye(6), atol=1e-12)
+    np.testing.assert_allclose(inverse @ T.T, identity, atol=1e-12)
+    np.testing.assert_allclose(opposite @ T_opposite.T, identity, atol=1e-12)
 
 
 def exponential_of(k, p):

@@ -108,11 +108,14 @@ def solve_by_columns(matrix, right):
     """What solve_columns() makes of a matrix (n, n) and right-hand sides (n, m): whether it is
     solved, and solutions (n, m)."""
     n, m = right.shape
-    system = aligned_zeros(row_stride(n), row_stride(n + m))
+    width = n + m
+    stride = row_stride(width)
+    system = aligned_zeros(row_stride(n), stride)
     system[:n, :n] = matrix
-    system[:n, n : n + m] = right
-    is_solved = solve_columns(system.ravel(), n, system.shape[1], m)
-    return is_solved, system[:n, n : n + m]
+    beside = system[:n, n:width]
+    beside[:] = right
+    is_solved = solve_columns(system.ravel(), n, stride, m)
+    return is_solved, beside
 
 
 @pytest.mark.parametrize("n", SIZES)

@@ -138,25 +138,34 @@ def test_steps_that_follow_a_tolerance_err_less(model, tolerance):
 
 def test_a_step_that_an_end_cuts_says_nothing_against_longer_ones(model):
     """They were planned before; none is longer than the longest."""
-    control = Control(H, 1.0, True, 1e-6 * H)
-    cut = Run(model, control, [0.05 * H], step=0.7 * H)
-    np.testing.assert_allclose(cut.lengths, 0.05 * H)
-    assert cut.progress.step == pytest.approx(0.7 * H)
-    grown = Run(model, control, [0.6 * H], step=0.6 * H)
+    shortest = 1e-6 * H
+    control = Control(H, 1.0, True, shortest)
+    planned = 0.7 * H
+    end = 0.05 * H
+    cut = Run(model, control, [end], step=planned)
+    np.testing.assert_allclose(cut.lengths, end)
+    assert cut.progress.step == pytest.approx(planned)
+    long = 0.6 * H
+    grown = Run(model, control, [long], step=long)
     assert grown.progress.step == H
-    slow = Run(model, control, [0.1 * H], step=0.1 * H)
-    assert slow.progress.step == pytest.approx(0.4 * H)
+    short = 0.1 * H
+    slow = Run(model, control, [short], step=short)
+    at_most_fourfold = 4.0 * short
+    assert slow.progress.step == pytest.approx(at_most_fourfold)
     # fixed steps are the longest again in every row
-    fixed = Run(model, FIXED, [2.0 * H], step=0.1 * H)
+    fixed = Run(model, FIXED, [2.0 * H], step=short)
     np.testing.assert_allclose(fixed.lengths, H)
 
 
 def test_samples_are_evenly_among_the_rows(model):
     commands = [share * TENSION for share in (1.0, 0.5, 0.2, 1.5)]
-    run = Run(model, FIXED, [H] * 4, commands=commands, samples=2)
-    for sample, count in enumerate((2, 4)):
-        until = Run(model, FIXED, [H] * count, commands=commands[:count])
-        np.testing.assert_array_equal(run.record.q[sample], until.motion.q)
-        np.testing.assert_array_equal(run.record.q_dot[sample], until.motion.q_dot)
-        pose = model.tip_pose(until.motion.q)
-        np.testing.assert_allclose(run.record.tip_pose[sample], pose, atol=1e-9)
+    durations = [H, H, H, H]
+    record = Run(model, FIXED, durations, commands=commands, samples=2).record
+    rows_before_sample = (2, 4)
+    for sample, rows in enumerate(rows_before_sample):
+        shorter = Run(model, FIXED, durations[:rows], commands=commands[:rows])
+        motion = shorter.motion
+        pose = model.tip_pose(motion.q)
+        np.testing.assert_array_equal(record.q[sample], motion.q)
+        np.testing.assert_array_equal(record.q_dot[sample], motion.q_dot)
+        np.testing.assert_allclose(record.tip_pose[sample], pose, atol=1e-9)

@@ -156,9 +156,11 @@ def end_after(arm, bare, durations):
 
 def test_time_and_memory_go_on_from_step_to_step(arm, bare):
     """Within a command as from one to the next."""
-    together = end_after(arm, bare, [3.0 * H])
+    duration = 3.0 * H
+    together = end_after(arm, bare, [duration])
     one_by_one = end_after(arm, bare, [H, H, H])
-    assert together.clock[0] == pytest.approx(TIME + 3.0 * H)
+    end = TIME + duration
+    assert together.clock[0] == pytest.approx(end)
     np.testing.assert_allclose(together.q, one_by_one.q, rtol=1e-9)
     np.testing.assert_allclose(together.q_dot, one_by_one.q_dot, rtol=1e-8)
     np.testing.assert_allclose(together.state, one_by_one.state, rtol=1e-9, atol=1e-15)

@@ -20,12 +20,15 @@ COUNTS = (2, 4, 8, 16)
 
 def hat(xi):
     """The 4x4 matrix of a twist (k, p)."""
-    k = xi[:3]
-    p = xi[3:]
-    first = [0, -k[2], k[1], p[0]]
-    second = [k[2], 0, -k[0], p[1]]
-    third = [-k[1], k[0], 0, p[2]]
-    return np.array([first, second, third, [0, 0, 0, 0]])
+    k_x, k_y, k_z, p_x, p_y, p_z = xi
+    return np.array(
+        [
+            [0, -k_z, k_y, p_x],
+            [k_z, 0, -k_x, p_y],
+            [-k_y, k_x, 0, p_z],
+            [0, 0, 0, 0],
+        ]
+    )
 
 
 def vee(matrices):
