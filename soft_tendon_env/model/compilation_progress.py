@@ -56,6 +56,10 @@ class CompilationProgress(event.Listener):
         added = [ADDED.get(name, ADDED_BY_OTHERS) for name in scene.effects.chosen()]
         self._kernels = KERNELS + max(added, default=0)
 
+    def silence(self) -> None:
+        """Say nothing in this process."""
+        self._is_first = False
+
     def on_start(self, event: Any) -> None:
         """A kernel is compiled, perhaps for another one."""
         if not _is_kernel(event):

@@ -1,9 +1,13 @@
 """Time that a compilation still takes, by a clock that the test moves."""
 
+import os
 import re
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import pytest
+from numba import config
 
 import soft_tendon_env as ste
 from soft_tendon_env.model import compilation_progress
@@ -74,3 +78,30 @@ def test_nothing_is_said_where_it_is_not_known(kept, function, monkeypatch, caps
     monkeypatch.setattr(compilation_progress, "_any_kept", lambda: kept)
     compile_all(function)
     assert capsys.readouterr().err == ""
+
+
+FIRST_STEP = """
+import gymnasium as gym
+import soft_tendon_env
+from soft_tendon_env.model.compilation_progress import PROGRESS
+
+env = gym.make("TendonRod-TipPose-v0", scene="three_tendon")
+env.reset(seed=0)
+env.step(env.action_space.sample())
+print(PROGRESS._done)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is compiled")
+def test_a_first_step_needs_about_as_many_kernels_as_are_told(tmp_path):
+    """From an empty cache. The number depends a little on the scene and on what its trial needs."""
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    process = subprocess.run(
+        [sys.executable, "-c", FIRST_STEP],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert int(process.stdout) == pytest.approx(KERNELS, rel=0.2)
