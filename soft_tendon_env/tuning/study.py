@@ -120,9 +120,11 @@ def tune(search: Search, folder: Path, workers: int, cluster: str | None = None)
     complete = [trial for trial in trials if trial.state is TrialState.COMPLETE]
     finalists = _finalists(complete, search.finalists)
     play_final = partial(_final_cost, search.of_finals(), folder)
-    final_costs = run_all(play_final, finalists, workers, "finals", unit="trial", cluster=cluster)
-    numbers = [trial.number for trial in finalists]
-    finals = dict(zip(numbers, final_costs, strict=True))
+    finals = {}
+    if finalists:
+        costs = run_all(play_final, finalists, workers, "finals", unit="trial", cluster=cluster)
+        numbers = [trial.number for trial in finalists]
+        finals = dict(zip(numbers, costs, strict=True))
     rows = [_table_row(trial, finals.get(trial.number)) for trial in trials]
     write_csv(folder / "trials.csv", rows)
     if not complete:
@@ -149,12 +151,13 @@ def tune(search: Search, folder: Path, workers: int, cluster: str | None = None)
 
 
 def _finalists(complete: list[FrozenTrial], count: int) -> list[FrozenTrial]:
-    """So many trials of least cost, and the first of all, which has the values in use."""
-    finalists = sorted(complete, key=_cost)[:count]
-    first = complete[:1]
-    if finalists and first[0] not in finalists:
-        finalists += first
-    return finalists
+    """So many trials of least cost, and trial 0, which has the values in use."""
+    if not count:
+        return []
+    ranked = sorted(complete, key=_cost)
+    finalists = ranked[:count]
+    in_use = [trial for trial in ranked[count:] if trial.number == 0]
+    return finalists + in_use
 
 
 def _final_cost(search: Search, folder: Path, trial: FrozenTrial) -> float:

@@ -161,6 +161,24 @@ def test_finals_on_other_seeds_tell_the_best(finalists, expected, monkeypatch, t
     assert f"best: trial {expected}, {of_trials[expected]:.2f} mm" in capsys.readouterr().out
 
 
+def test_no_other_trial_stands_for_the_values_in_use(monkeypatch, tmp_path):
+    """Where theirs has failed."""
+    played = []
+
+    def cost(search, values, folder, report):
+        kind, _, number = folder.name.partition("_")
+        if kind == "final":
+            played.append(int(number))
+        elif number == "0":
+            raise UserError("the values in use do not work")
+        return 1e-3 * (10 - int(number))
+
+    monkeypatch.setattr(ControllerSearch, "cost", cost)
+    changes = {"trials": 4, "episodes": 4, "finalists": 2}
+    tune(ControllerSearch(**CONTROLLER | changes), tmp_path, workers=1)
+    assert played == [3, 2]
+
+
 def test_settings_are_played_alone_and_together(monkeypatch, tmp_path):
     """The cost is the geometric mean of all."""
     played = []
