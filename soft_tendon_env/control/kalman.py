@@ -375,10 +375,10 @@ def _plausible(
     whitened = inverse_root @ innovations
     squares = (whitened**2).sum(axis=0)
     best = int(squares.argmin())
-    jump = inverse_root @ (slope @ predicted.jump)
     # a command that comes at another time than is believed looks like a jump
     is_timed = _timing_spread(predicted.bank) < TIMED
-    if is_timed and _evidence(jump, whitened[:, best]) > EVIDENCE:
+    jump = slope @ predicted.jump
+    if is_timed and _evidence(inverse_root @ jump, whitened[:, best]) > EVIDENCE:
         covariance_of_jump = predicted.jump @ predicted.jump.T
         covariance = covariance + covariance_of_jump
         inverse_root = _inverse_root(slope, slope @ covariance, noise)

@@ -145,8 +145,8 @@ def _flat(variables: Mapping[str, Any], prefix: str) -> dict[str, NDArray[Any]]:
             array = np.asarray(value)
             # a cell array of names has objects
             has_objects = array.dtype == object
-            are_texts = all(isinstance(cell, str) for cell in array.flat)
-            if has_objects and are_texts:
+            is_text = has_objects and all(isinstance(cell, str) for cell in array.flat)
+            if is_text:
                 arrays[prefix + name] = array.astype(str)
             else:
                 arrays[prefix + name] = array
