@@ -242,6 +242,8 @@ def test_filter_adjoint_is_that_of_differences(name, build):
         start = memory.state.copy()
         times = times + PERIOD
     command = rng.uniform(1.0, 4.0, 3)
+    # another memory, which is not where the last part has ended
+    memory = make_filter_memory(arm)
     begin_filter(effects, start, command, times, True, scratch, memory)
     of_means = rng.normal(size=(2, 3))
     of_state = np.where(numbers_of(memory.state), rng.normal(size=start.size), 0.0)

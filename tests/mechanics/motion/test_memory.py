@@ -13,7 +13,7 @@ from soft_tendon_env.mechanics.motion.extrapolation import (
     Extrapolated,
     extrapolated_step,
 )
-from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
+from soft_tendon_env.mechanics.motion.scratch import Motion, copy_motion, make_scratch
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.scene.file import load_scene
@@ -164,3 +164,17 @@ def test_time_and_memory_go_on_from_step_to_step(arm, bare):
     np.testing.assert_allclose(together.q, one_by_one.q, rtol=1e-9)
     np.testing.assert_allclose(together.q_dot, one_by_one.q_dot, rtol=1e-8)
     np.testing.assert_allclose(together.state, one_by_one.state, rtol=1e-9, atol=1e-15)
+
+
+def test_a_copied_motion_has_every_part_of_its_source():
+    """And none of its own."""
+    sizes = (3, 3, 12, 5, 1)
+    rng = np.random.default_rng(0)
+    source = Motion(*(rng.normal(size=size) for size in sizes))
+    copied = Motion(*(rng.normal(size=size) for size in sizes))
+    copy_motion(source, copied)
+    for name in Motion._fields:
+        part = getattr(copied, name)
+        of_source = getattr(source, name)
+        np.testing.assert_array_equal(part, of_source)
+        assert not np.shares_memory(part, of_source)

@@ -18,6 +18,7 @@ pytestmark = pytest.mark.no_jit
 
 H = 0.004  # [s]
 SLOW = 1e-4  # [m/s]
+STIFFNESS = 500.0  # [N/m]
 STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
 SIX = {"type": "explicit", "modes": [{"strains": STRAINS, "order": 0, "span": "rod"}]}
 TENSION = np.array([2.0, 0.5, 1.0])
@@ -25,10 +26,12 @@ Q = np.array([1.0, 2.0, -1.5, 0.01, 0.02, -0.01])
 RATES = np.array([2.0, -5.0, 3.0, 0.05, -0.02, 0.03])
 
 
-def arm_that_rubs(friction=None):
+def arm_that_rubs(friction=None, elasticity=None):
     changes = {"strain": SIX, "tendons.0.end": 0.2}
     if friction:
         changes["effects.tendon_friction"] = friction
+    if elasticity:
+        changes["effects.tendon_elasticity"] = elasticity
     scene = load_scene("three_tendon").replace(changes)
     return model_on(scene, 2)
 
@@ -53,12 +56,18 @@ def test_rates_at_the_end_balance_their_own_friction(coefficient, speed):
     scratch = make_scratch(model.arm, 1)
     attempt = attempt_at(model, rates, TENSION, scratch)
     assert attempt.status == OK
+    check_balance(rates, TENSION, scratch)
+
+
+def check_balance(rates, tension, scratch):
+    """Rates at the end of a substep balance tensions [N] and the friction that these have there."""
     smooth = arm_that_rubs()
+    # matrices are those of the substep's beginning
     terms = smooth.terms(Q, rates, TENSION)
     M = terms.mass
     D = terms.damping
     G = terms.stiffness
-    pulled = terms.actuation @ TENSION
+    pulled = terms.actuation @ tension
     resisted = terms.elastic_force + D @ rates
     force = pulled - resisted - terms.bias
     borders = scratch.first.borders
@@ -69,7 +78,7 @@ def test_rates_at_the_end_balance_their_own_friction(coefficient, speed):
     speeds = np.hypot(sliding, SLOW)
     directions = sliding / speeds
     turned = np.cumsum(turn * directions, axis=1)
-    at_actuators = TENSION[:, None]
+    at_actuators = tension[:, None]
     left = at_actuators * np.exp(-turned)
     lost = np.diff(left, axis=1, prepend=at_actuators)
     friction = np.einsum("ik,ikn->n", lost, rows)
@@ -80,13 +89,32 @@ def test_rates_at_the_end_balance_their_own_friction(coefficient, speed):
     stiffening = H * G @ rates
     impulse = H * (force + friction - stiffening)
     change = np.linalg.solve(system, impulse)
-    scale = model.coordinate_scale()
+    scale = smooth.coordinate_scale()
     expected = (rates + change) / scale
     found = scratch.v / scale
     atol = 1e-5 * np.abs(expected).max()
     np.testing.assert_allclose(found, expected, atol=atol)
     moved = Q + H * scratch.v
     np.testing.assert_allclose(scratch.q, moved, rtol=1e-12)
+
+
+@pytest.mark.parametrize("speed", [1.0, 1e-4], ids=["slide", "stick"])
+def test_elastic_tendons_that_rub_have_the_tensions_of_their_displacements_at_the_end(speed):
+    """T = k (u - s - h s'), and rates that balance these tensions and their friction."""
+    rates = speed * RATES
+    friction = {"coefficient": 0.3, "stiction_speed": SLOW}
+    elasticity = {"stiffness": STIFFNESS, "displacement_limits": [-0.1, 0.1]}
+    model = arm_that_rubs(friction, elasticity)
+    scratch = make_scratch(model.arm, 1)
+    command = model.command(TENSION, Q)
+    attempt = attempt_at(model, rates, command, scratch)
+    assert attempt.status == OK
+    tension = scratch.sliding.tension.copy()
+    columns = arm_that_rubs().terms(Q, rates, TENSION).actuation
+    pulled_in = H * (columns.T @ scratch.v)
+    expected = TENSION - STIFFNESS * pulled_in
+    np.testing.assert_allclose(tension, np.maximum(expected, 0.0), rtol=1e-6, atol=1e-9)
+    check_balance(rates, tension, scratch)
 
 
 def test_a_system_that_is_not_positive_has_no_rates():
