@@ -5,9 +5,6 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.control.innovations import (
-    FORGOTTEN,
-    MOST_SQUARE,
-    RECENT,
     SensorModel,
     Surprise,
     layout_of,
@@ -165,6 +162,18 @@ def test_variances_of_the_model_are_of_the_rod_s_size(model, build):
     np.testing.assert_allclose(ratio["strain_rate"], curvature_then_stretch)
 
 
+@pytest.mark.parametrize(("tolerance", "share"), [(1e-6, 1e-4), (1.5e-4, 2e-3)])
+def test_the_tip_of_a_model_is_off_by_four_tolerances_or_a_ten_thousandth(build, tolerance, share):
+    """Tolerances are in m, and the rod has 0.3 m. Its turn is off by ten times as many radians."""
+    changes = {"quadrature.intervals": 4, "integrator.tolerance": tolerance}
+    model = build("three_tendon", changes)
+    variances = noise_variances(model, SensorNoise(), 1)
+    off = share * model.length
+    expected = np.repeat([10.0 * share, off], 3) ** 2
+    np.testing.assert_allclose(variances["tip_pose"], expected)
+    np.testing.assert_allclose(variances["tendon_length"], off**2)
+
+
 def test_velocities_are_less_certain_the_faster_the_arm(model, sensor_model, mean):
     """By a share of what is expected of them, as the Jacobian at other coordinates is another."""
     layout = layout_of(model, PLACES)
@@ -183,21 +192,22 @@ def test_velocities_are_less_certain_the_faster_the_arm(model, sensor_model, mea
 
 
 def test_a_surprise_comes_soon_and_goes_slowly():
-    """A running mean of bounded squares, and the greatest of it, forgotten in its own time."""
+    """The running mean over half a second of squares up to 10, and the greatest of it, of which 1/e
+    is left after ten seconds."""
     period = 0.02
     surprise = Surprise()
     for _ in range(50):
         surprise = surprise.after(4.0, period)
-    kept = np.exp(-period / RECENT)
+    kept = np.exp(-period / 0.5)
     expected = 4.0 * (1.0 - kept**50)
     assert surprise.recent == pytest.approx(expected)
     assert surprise.lasting == surprise.recent
     for _ in range(100):
         surprise = surprise.after(0.0, period)
     assert surprise.recent == pytest.approx(expected * kept**100)
-    assert surprise.lasting == pytest.approx(expected * np.exp(-100 * period / FORGOTTEN))
+    assert surprise.lasting == pytest.approx(expected * np.exp(-100 * period / 10.0))
     pushed = Surprise().after(1e6, period)
-    assert pushed.recent == pytest.approx(MOST_SQUARE * (1.0 - kept))
+    assert pushed.recent == pytest.approx(10.0 * (1.0 - kept))
 
 
 def test_without_sensors_of_strains_there_are_none(model, mean):

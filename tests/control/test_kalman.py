@@ -412,6 +412,32 @@ def test_loads_jump_once_the_timing_is_nearly_known(latencies, has_jumped, model
     assert (after > before + 0.005).all() == has_jumped
 
 
+def test_hypotheses_that_agree_become_the_covariance_of_what_is_not_known(model):
+    """With the variance of a grid's step besides: of the lag here, since the latency was told."""
+    found = filter_of(model, latency=0.0, lag=None)
+    estimates, *_ = live(found, model, 3)
+    belief = estimates[-1].memory
+    layout = found.space.layout
+    deviation = np.zeros((belief.mean.size, 2))
+    deviation[layout.z] = np.array([0.1, -0.1])
+    bank = timing_bank.Bank(
+        timing=Timing(np.zeros(2), np.array([0.010, 0.011])),
+        deviation=deviation,
+        log_likelihood=np.zeros(2),
+        sharp_weight=np.full(2, 0.5),
+    )
+    settled = found._settled(belief._replace(bank=bank))
+    assert settled.bank is None
+    added = settled.covariance - belief.covariance
+    entries = np.arange(belief.mean.size)
+    lag_entry = entries[layout.lag]
+    step_variance = timing_bank.LATENCY_STEP**2 / 12.0
+    expected = np.zeros_like(added)
+    expected[layout.z, layout.z] = 0.01
+    expected[lag_entry, lag_entry] = step_variance
+    np.testing.assert_allclose(added, expected, rtol=1e-3, atol=1e-12)
+
+
 def test_a_period_that_settles_on_no_motion_says_nothing_of_the_timing(model):
     """Hypotheses keep their probabilities, and the mean is theirs."""
     found = filter_of(model, latency=None, lag=None)

@@ -6,7 +6,7 @@ import pytest
 
 from soft_tendon_env.control import ControllerInput, Reference
 from soft_tendon_env.control.catalogue import tip_pose_objective
-from soft_tendon_env.control.objectives import Shape, TipPose, TipPosition
+from soft_tendon_env.control.objectives import Shape, TipDirection, TipPose, TipPosition
 from soft_tendon_env.control.rigid_motions import adjoint, inverse_pose, moved_pose, pose_error
 
 PERIOD = 0.02
@@ -241,6 +241,20 @@ def test_a_model_sees_the_position_displaced_as_its_tip_is(model, random_state, 
     seen = TipPosition().seen_from(tip_pose, target, measured)
     of_model = TipPosition().error(q, tip_pose, seen, 0.0)
     np.testing.assert_allclose(of_model, of_arm, atol=1e-14)
+
+
+def test_a_model_sees_the_direction_of_a_target_displaced_but_not_one_of_the_world(
+    model, random_state
+):
+    """A model that reaches what it sees has the arm in the target's direction."""
+    tip_pose = model.tip_pose(random_state(model, 0)[0])
+    target = target_through(model, [random_state(model, 1)[0]])
+    measured = moved_pose(tip_pose, DISPLACEMENT)
+    seen = TipDirection().seen_from(tip_pose, target, measured)
+    arm = moved_pose(seen.tip_pose[0], DISPLACEMENT)
+    np.testing.assert_allclose(arm, target.tip_pose[0], atol=1e-12)
+    of_world = TipDirection((1.0, 0.4, -0.2))
+    assert of_world.seen_from(tip_pose, target, measured) is target
 
 
 @pytest.mark.parametrize("objective", ["pose", "position"], indirect=True)
