@@ -118,7 +118,7 @@ class Search(Configuration, ABC):
         """Returns the search on the tuning seeds that its trials do not play.
 
         Returns:
-            A search, whose `cost` is that of a finalist.
+            A search, whose `final_cost` is that of a finalist.
         """
         finals = self.model_copy()
         finals._seeds = self._other_seeds()
@@ -140,6 +140,21 @@ class Search(Configuration, ABC):
             ValueError: for values that cannot be used.
             UserError: for a training that failed.
         """
+
+    def final_cost(self, values: Mapping[str, Any], folder: Path) -> float:
+        """Computes the cost of a finalist.
+
+        Args:
+            values: of the parameters, by name.
+            folder: with the files that its trial has made.
+
+        Returns:
+            Mean cost [m].
+
+        Raises:
+            ValueError: for values that cannot be used.
+        """
+        return self.cost(values, folder, lambda cost: None)
 
     @abstractmethod
     def file(self, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -310,6 +325,14 @@ class TrainingSearch(Search):
             train.train(training, folder, watch=watch)
         finally:
             shutil.rmtree(folder / "last", ignore_errors=True)  # nothing goes on from it
+        return self.final_cost(values, folder)
+
+    def final_cost(self, values: Mapping[str, Any], folder: Path) -> float:
+        """Computes the cost of the best agent that a training has left in a folder.
+
+        See Search.final_cost.
+        """
+        training = Training.parse(self.file(values), self.training)
         return self.play(
             partial(load_policy, str(folder / "best")),
             training.task,

@@ -162,9 +162,9 @@ def _finalists(complete: list[FrozenTrial], count: int) -> list[FrozenTrial]:
 
 def _final_cost(search: Search, folder: Path, trial: FrozenTrial) -> float:
     """Cost [m] of a finalist by a search on other seeds."""
-    trial_folder = folder / f"final_{trial.number}"
-    with into_log(trial_folder / "trial.log"):
-        return search.cost(trial.user_attrs["values"], trial_folder, lambda cost: None)
+    trial_folder = folder / f"trial_{trial.number}"
+    with into_log(trial_folder / "final.log"):
+        return search.final_cost(trial.user_attrs["values"], trial_folder)
 
 
 def _cost(trial: FrozenTrial) -> float:

@@ -58,6 +58,7 @@ TRAINING = {
     "training": "ppo_tip_pose_nominal",
     "set": SHORT,
     "episodes": 2,
+    "finalists": 1,
     "search": {
         "learning_rate[0]": {"low": 1e-4, "high": 1e-2, "log": True},
         NETWORK: {"choices": [[8], [16, 16]]},
@@ -83,6 +84,12 @@ class Bowl(Search):
 
     def file(self, values):
         return dict(values)
+
+
+def number_of(folder):
+    """Number of the trial whose folder it is."""
+    _, _, number = folder.name.partition("_")
+    return int(number)
 
 
 def done(search, folder):
@@ -142,19 +149,19 @@ def test_finals_on_other_seeds_tell_the_best(finalists, expected, monkeypatch, t
     played = []
 
     def cost(search, values, folder, report):
-        kind, _, number = folder.name.partition("_")
-        played.append((kind, int(number), search._seeds))
-        costs = of_finals if kind == "final" else of_trials
-        return 1e-3 * costs[int(number)]
+        number = number_of(folder)
+        played.append((number, search._seeds))
+        costs = of_trials if search._seeds[0] == 100 else of_finals
+        return 1e-3 * costs[number]
 
     monkeypatch.setattr(ControllerSearch, "cost", cost)
     changes = {"trials": 5, "episodes": 4, "finalists": finalists}
     search = ControllerSearch(**CONTROLLER | changes)
     best = tune(search, tmp_path, workers=1)
     assert best.number == expected
-    assert played[:5] == [("trial", number, tuple(range(100, 104))) for number in range(5)]
+    assert played[:5] == [(number, tuple(range(100, 104))) for number in range(5)]
     ranks = {0: [], 2: [3, 4, 0], 4: [3, 4, 2, 1, 0]}[finalists]
-    assert played[5:] == [("final", number, tuple(range(104, 112))) for number in ranks]
+    assert played[5:] == [(number, tuple(range(104, 112))) for number in ranks]
     rows = csv.DictReader((tmp_path / "trials.csv").read_text().splitlines())
     costs = {int(row["trial"]): row["cost in the finals"] for row in rows}
     assert [number for number, text in costs.items() if text] == sorted(ranks)
@@ -166,12 +173,12 @@ def test_no_other_trial_stands_for_the_values_in_use(monkeypatch, tmp_path):
     played = []
 
     def cost(search, values, folder, report):
-        kind, _, number = folder.name.partition("_")
-        if kind == "final":
-            played.append(int(number))
-        elif number == "0":
+        number = number_of(folder)
+        if search._seeds[0] != 100:
+            played.append(number)
+        elif number == 0:
             raise UserError("the values in use do not work")
-        return 1e-3 * (10 - int(number))
+        return 1e-3 * (10 - number)
 
     monkeypatch.setattr(ControllerSearch, "cost", cost)
     changes = {"trials": 4, "episodes": 4, "finalists": 2}
@@ -291,6 +298,13 @@ def test_both_are_tuned_from_the_command_line(table, tmp_path, monkeypatch, caps
         assert read_training(out / "best.toml").steps == 128
         assert (out / "trial_0" / "best" / "weights.npz").exists()
         assert not (Path(out) / "trial_0" / "last").exists(), "nothing goes on from it"
+        in_finals = re.findall(r"trial \d: .*, in the finals (.*) mm", printed)
+        assert 1 <= len(in_finals) <= 2
+        assert all(float(cost) > 0.0 for cost in in_finals)
+        # the agents of trials play, and none is trained again
+        logs = [log.read_text() for log in out.glob("trial_*/final.log")]
+        assert len(logs) == len(in_finals)
+        assert not any("steps" in log for log in logs)
 
 
 def test_the_values_in_use_are_those_that_the_search_has_found():
