@@ -27,8 +27,8 @@ POLICIES = (
     "tracking",
     "predictive",
     "filtered:predictive@standard",
-    "apg",
 )
+"""Controllers alone: agents change their commands by at most that rate anyway."""
 SETTING_NAMES = ("nominal", "hard")
 SECONDS = 4.0  # length of an episode, as in configs/published.toml
 SKIP = 1.0  # [s] from which on errors count, likewise
@@ -94,7 +94,6 @@ def make_cell(policy: str, setting: str, rate: float | None, episodes: int, seco
         "randomize": {},
     }
     options = SETTINGS[setting].options(nominal)
-    # agents may have been trained with other effects than this arm has
     believed = {"scene": "paper"}
     seeds = tuple(SEEDS["arena"][:episodes])
     return Cell(TASK, policy, options, seeds, seconds, SKIP, controller_scene=believed)
