@@ -1,5 +1,4 @@
-"""Errors of agents for arms of one's own, trained in ten minutes each: a table of
-docs/how_to/train_at_scale.md.
+"""Errors of agents for arms of one's own, trained in ten minutes each: a table and a CSV file.
 
     python benchmarks/own_agents.py [--arms three_tendon ...] [--steps 1000000] [--episodes 48]
     [--quick] [--out out]
