@@ -22,6 +22,7 @@ from _results import markdown_table, parser_of, write_csv, write_tables
 from own_arms import ARMS
 
 from soft_tendon_env.envs import IDS
+from soft_tendon_env.evaluation.conditions import SEEDS
 from soft_tendon_env.evaluation.metrics import EpisodeScore
 from soft_tendon_env.evaluation.play import evaluate_rows
 from soft_tendon_env.evaluation.settings import episode_steps
@@ -44,7 +45,6 @@ CAUSES: Mapping[str, tuple[str, ...]] = {
     "pushes": tuple(f"disturbance.loads.{i}.force" for i in range(3)),
 }
 """Names in `randomize` of a training, by the cause of errors."""
-SEEDS = 9000  # first seed of the episodes, which no training has
 PERCENT = 100.0
 HEADER = ("arm", "CPU of the training [min]", *CAUSES, "bad [%]")
 
@@ -114,12 +114,12 @@ def play(
     }
     skip = training.evaluation.skip
     steps = episode_steps(training.seconds, skip, options)
-    seeds = range(SEEDS, SEEDS + episodes)
+    seeds = SEEDS["arena"][:episodes]
     with closing(
         gym.make_vec(IDS[TASK], num_envs=episodes, max_episode_steps=steps, **options)
     ) as envs:
         policy = load_policy(str(folder / "last"), envs)
-        return evaluate_rows(policy, envs, list(seeds), skip)
+        return evaluate_rows(policy, envs, seeds, skip)
 
 
 if __name__ == "__main__":

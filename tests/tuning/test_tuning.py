@@ -305,6 +305,7 @@ def test_both_are_tuned_from_the_command_line(table, tmp_path, monkeypatch, caps
         logs = [log.read_text() for log in out.glob("trial_*/final.log")]
         assert len(logs) == len(in_finals)
         assert not any("steps" in log for log in logs)
+        assert "steps" in (out / "trial_0" / "trial.log").read_text(), "as a training says"
 
 
 def test_the_values_in_use_are_those_that_the_search_has_found():
