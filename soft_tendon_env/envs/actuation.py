@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from soft_tendon_env.control.command_filter import whole_periods
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.options import Options
+from soft_tendon_env.envs.randomization import OF_ACTUATORS
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.forks import cached_property
 from soft_tendon_env.tools.types import Array
@@ -188,8 +189,9 @@ class Actuation:
         offset = self._share * offset_of_tension
         latency = generator.uniform(*ranges.latency)
         # drawn after the others, so that these are the same with and without omissions
-        if ranges.omit:
-            has_gain, has_offset, has_latency = generator.random(3) >= ranges.omit
+        if ranges.omits:
+            omissions = [ranges.omission(name) for name in OF_ACTUATORS]
+            has_gain, has_offset, has_latency = generator.random(3) >= omissions
             if not has_gain:
                 gain = np.ones(tendons)
             if not has_offset:

@@ -375,7 +375,7 @@ class Episodes:
             self.size,
             self.model.tendon_count,
             self.sensors.size,
-            randomize.omit,
+            randomize.omission("noise"),
         )
 
     @property

@@ -43,6 +43,12 @@ SHORT = {
 }
 """Short names of numbers of the scene: their keys, and how they are drawn."""
 
+OF_ACTUATORS = ("tension_gain", "tension_offset", "latency")
+"""What is drawn of the actuators, in the order of their draws."""
+
+OTHERS = "others"
+"""Key in `omit` of all that it does not name."""
+
 OF_STIFFNESS = {
     "segments.*.young_modulus": ("bending.*", "torsion", "stretch", "shear.*"),
     "segments.*.damping": ("retardation_time",),
@@ -73,6 +79,7 @@ def _not_negative(ends: tuple[float, float]) -> tuple[float, float]:
     return ends
 
 
+Probability = Annotated[float, Field(ge=0, le=1)]
 Interval = Annotated[tuple[float, float], BeforeValidator(_as_range)]
 Amount = Annotated[Interval, AfterValidator(_not_negative)]
 
@@ -92,7 +99,8 @@ class Randomization(Configuration):
         noise: deviations of the sensors' noise; of strains where there are strain sensors.
         omit: probability with which an episode leaves out each of the above: a number is as the
             scene says, gains are 1, offsets, latency and noise 0. Without it nearly all arms differ
-            in every way.
+            in every way. A table has it by name, `{"latency": 0.5, "others": 0.85}`: the others'
+            is 0 unless it says so.
     """
 
     numbers: dict[str, Any] = Field(default_factory=dict)
@@ -100,7 +108,7 @@ class Randomization(Configuration):
     tension_offset: Interval = (0.0, 0.0)
     latency: Amount = (0.0, 0.0)
     noise: SensorNoise = Field(default=SensorNoise())
-    omit: Annotated[float, Field(ge=0, le=1)] = 0.0
+    omit: Probability | dict[str, Probability] = 0.0
 
     def __init__(self, /, **values: Any):
         """Take numbers of the scene beside the other attributes.
@@ -129,6 +137,8 @@ class Randomization(Configuration):
         every_number = {**fields.get("numbers", {}), **numbers}
         in_dots = dotted_ranges(plain(every_number))
         fields["numbers"] = _in_full(in_dots)
+        if isinstance(fields.get("omit"), Mapping):
+            fields["omit"] = _omissions(fields["omit"], fields["numbers"])
         super().__init__(**fields)
 
     def ranges(self, scene: Scene) -> tuple[Range, ...]:
@@ -153,6 +163,30 @@ class Randomization(Configuration):
             raise ConfigurationError(problems, "environment") from None
 
     @property
+    def omits(self) -> bool:
+        """Whether episodes can leave out anything."""
+        if isinstance(self.omit, Mapping):
+            return any(self.omit.values())
+        return self.omit > 0.0
+
+    def omission(self, name: str) -> float:
+        """Computes the probability with which an episode leaves out one of the draws.
+
+        Args:
+            name: of a range of `ranges`, or one of the other attributes.
+
+        Returns:
+            The probability, 0 to 1.
+        """
+        if not isinstance(self.omit, Mapping):
+            return self.omit
+        first = name.partition("|")[0]  # of numbers that change together
+        for key, probability in self.omit.items():
+            if _is_of(first, key):
+                return probability
+        return self.omit.get(OTHERS, 0.0)
+
+    @property
     def of_actuators(self) -> bool:
         """Whether applied tensions can differ from commanded ones, apart from latency."""
         has_gains = self.tension_gain != (1.0, 1.0)
@@ -175,6 +209,30 @@ def _in_full(numbers: dict[str, Any]) -> dict[str, Any]:
         else:
             ranges[key] = value
     return ranges
+
+
+def _is_of(name: str, key: str) -> bool:
+    """Whether a number of that name is what a key means: it alone, or an entry of its vector."""
+    return name == key or name.startswith(f"{key}.")
+
+
+def _omissions(given: Mapping[str, Any], numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """Probabilities of omission by the keys that names stand for.
+
+    Raises ConfigurationError where a name is nothing that is drawn.
+    """
+    drawn = [*numbers, *OF_ACTUATORS, "noise", OTHERS]
+    omissions: dict[str, Any] = {}
+    problems = list[Problem]()
+    for name, probability in dotted_ranges(given).items():
+        key, _ = SHORT.get(name, (name, ""))
+        if not any(_is_of(number, key) for number in drawn):
+            text = f"is nothing that is drawn: {not_among(name, drawn)}"
+            problems.append(Problem(("omit", name), text))
+        omissions[key] = probability
+    if problems:
+        raise ConfigurationError(problems, "randomize")
+    return omissions
 
 
 def _whole_rod(scene: Scene, name: str, value: Any) -> str:

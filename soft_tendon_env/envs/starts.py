@@ -101,7 +101,9 @@ class Starts:
                 self.setting = self.setting._replace(model=free.model, free=free)
         self._usual = Drawn(model, self.q)
         self._ranges = options.randomize.ranges(model.scene)
-        self._omit = options.randomize.omit
+        self._omits = options.randomize.omits
+        omissions = [options.randomize.omission(drawn.name) for drawn in self._ranges]
+        self._omissions = np.array(omissions)
         self._size = self._bank_size()
         self._is_among_obstacles = effects.contact is not None
         self._bank = dict[int, Drawn]()
@@ -154,7 +156,7 @@ class Starts:
 
     def _bank_size(self) -> int:
         """Number of different arms that episodes may have."""
-        if self._omit:
+        if self._omits:
             return BANK_WITH_OMISSIONS
         varies = any(drawn.least < drawn.greatest for drawn in self._ranges)
         if varies:
@@ -214,8 +216,8 @@ class Starts:
         for _ in range(draws):
             shares = random.random(len(self._ranges))
             omitted = None
-            if self._omit:
-                omitted = random.random(shares.size) < self._omit
+            if self._omits:
+                omitted = random.random(shares.size) < self._omissions
             changes = self._numbers(shares, omitted)
             model = self._model_with(changes)
             arm, reason = self._at_rest(model, changes)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from soft_tendon_env.envs.options import Options, given_scene
-from soft_tendon_env.envs.randomization import Randomization
+from soft_tendon_env.envs.randomization import OF_ACTUATORS, Randomization
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.scene.parameters import Range
 from soft_tendon_env.scene.plausibility import scales_of
@@ -56,18 +56,28 @@ def _target(options: Options) -> str:
 
 def _drawn(randomize: Randomization, scene: Scene) -> Iterator[str]:
     """Lines of what is drawn for every episode."""
-    yield f"drawn for every episode, each left out with a probability of {randomize.omit:g}:"
+    yield "drawn for every episode, or for a share of the episodes:"
     for drawn in randomize.ranges(scene):
         ending = KINDS[drawn.kind]
-        yield f"  {_name(drawn)}: {drawn.least:g} to {drawn.greatest:g}{ending}"
-    for name in ("tension_gain", "tension_offset", "latency"):
+        share = _share(randomize, drawn.name)
+        yield f"  {_name(drawn)}: {drawn.least:g} to {drawn.greatest:g}{ending}{share}"
+    for name in OF_ACTUATORS:
         least, greatest = getattr(randomize, name)
-        yield f"  {name}: {least:g} to {greatest:g}"
+        yield f"  {name}: {least:g} to {greatest:g}{_share(randomize, name)}"
     deviations = []
     for name, value in randomize.noise.model_dump().items():
         if value:
             deviations.append(f"{name} {value:g}")
-    yield f"  noise, as deviations: {', '.join(deviations) or 'none'}"
+    share = _share(randomize, "noise")
+    yield f"  noise, as deviations: {', '.join(deviations) or 'none'}{share}"
+
+
+def _share(randomize: Randomization, name: str) -> str:
+    """Share of the episodes that draw a number, as the end of its line; "" for all."""
+    omission = randomize.omission(name)
+    if not omission:
+        return ""
+    return f", in {1.0 - omission:.0%} of episodes"
 
 
 def _name(drawn: Range) -> str:

@@ -81,7 +81,7 @@ class SimulatedRobot:
             rows=1,
             tendons=first.size,
             sensors=episodes.sensors.size,
-            omit=drawn.omit,
+            omit=drawn.omission("noise"),
         )
         self._readings = np.zeros(1, dtype=np.int64)
         # these two compile, so that no reading waits for that

@@ -1,10 +1,15 @@
 """What an episode draws: a row's material is that of a scene with the same changes; actuators and
 sensors err as they say."""
 
+import re
+
 import numpy as np
 import pytest
 
 from soft_tendon_env.envs import ShapeEnv, TipPoseEnv, TipPoseVectorEnv
+from soft_tendon_env.envs.options import given_scene
+from soft_tendon_env.envs.randomization import Randomization
+from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast", "action": "tension"}
 STEPS = 25
@@ -178,16 +183,17 @@ def test_columns_are_those_of_the_least_damping_ratio_that_can_be_drawn(drawn):
     assert env.episodes.arms._scheme.method.columns == 2
 
 
-def test_what_is_omitted_is_as_the_scene_says():
-    """Of numbers, gains, latency and noise about half each, independently; without noise for the
-    whole episode."""
-    drawn = {
-        "stiffness": [1.2, 1.3],
-        "tension_gain": [0.8, 0.9],
-        "latency": [0.01, 0.02],
-        "noise": {"position": 1e-3},
-    }
-    env = TipPoseVectorEnv(64, threads=1, **SMALL, randomize={**drawn, "omit": 0.5})
+HALF_OMITTED = {
+    "stiffness": [1.2, 1.3],
+    "tension_gain": [0.8, 0.9],
+    "latency": [0.01, 0.02],
+    "noise": {"position": 1e-3},
+}
+
+
+def usual_rows(omit):
+    """Rows (4, 64) of which stiffness, gain, latency and noise were left out."""
+    env = TipPoseVectorEnv(64, threads=1, **SMALL, randomize={**HALF_OMITTED, "omit": omit})
     env.reset(seed=0)
     episodes = env.episodes
     none = np.zeros((64, 3))
@@ -205,5 +211,55 @@ def test_what_is_omitted_is_as_the_scene_says():
     assert (noisy[0] == noisy[1]).all()
     usual = np.array([stiffness == 1.0, gain[:, 0] == 1.0, late == 0.0, ~noisy[0]])
     assert (usual | np.array([stiffness >= 1.2, gain[:, 0] >= 0.8, late >= 0.01, noisy[0]])).all()
+    return usual
+
+
+def test_what_is_omitted_is_as_the_scene_says():
+    """Of numbers, gains, latency and noise about half each, independently; without noise for the
+    whole episode."""
+    usual = usual_rows(0.5)
     assert (np.abs(usual.mean(axis=1) - 0.5) < 0.2).all()
     assert (np.abs(np.corrcoef(usual)[~np.eye(4, dtype=bool)]) < 0.4).all()
+
+
+@pytest.mark.parametrize("place", range(4))
+def test_each_draw_has_its_own_omission(place):
+    """One by name is always left out, half of the others; what no name says is never left out."""
+    name = [*HALF_OMITTED][place]
+    usual = usual_rows({name: 1.0, "others": 0.5})
+    expected = np.full(4, 0.5)
+    expected[place] = 1.0
+    np.testing.assert_allclose(usual.mean(axis=1), expected, atol=0.2)
+    assert usual[place].all()
+    assert not np.delete(usual_rows({name: 1.0}), place, axis=0).any()
+
+
+def test_an_omission_is_of_a_whole_vector_and_of_what_changes_with_it():
+    drawn = {
+        "effects.gravity.acceleration": [[-1.0, 1.0]] * 3,
+        "stiffness": [0.9, 1.1],
+        "damping": [0.9, 1.1],
+    }
+    omit = {"effects": {"gravity.acceleration": 0.3}, "stiffness": 0.2, "others": 0.1}
+    ranges = Randomization(**drawn, omit=omit)
+    scene = given_scene({"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, 0.0]})
+    omissions = {part.name: ranges.omission(part.name) for part in ranges.ranges(scene)}
+    assert omissions == {
+        **{f"effects.gravity.acceleration.{k}": 0.3 for k in range(3)},
+        "segments.*.young_modulus": 0.2,
+        "segments.*.damping": 0.1,
+    }
+
+
+@pytest.mark.parametrize(
+    ("omit", "message"),
+    [
+        ({"latencies": 0.5}, "omit.latencies is nothing that is drawn: did you mean 'latency'?"),
+        ({"latency": 1.5}, "omit"),
+        ({"payload": 0.5}, "omit.payload is nothing that is drawn"),
+        ("often", "omit"),
+    ],
+)
+def test_an_omission_of_nothing_is_refused(omit, message):
+    with pytest.raises(ConfigurationError, match=re.escape(message)):
+        Randomization(stiffness=[0.9, 1.1], latency=[0.0, 0.02], omit=omit)
