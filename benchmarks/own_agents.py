@@ -7,7 +7,7 @@ Each arm gets an agent by `configs/apg_tip_pose.toml`, whose numbers are shares 
 agent then plays the first targets of its training: on the arm as it is, and with one cause of
 errors at a time that the training draws. Errors are root mean squares of the tip's position from
 `evaluation.skip` on, as shares of the rod's length. An arm with few tendons cannot hold a pose
-under a load.
+under a load: what MPC reaches there says so. A training that is complete in OUT is not repeated.
 """
 
 import time
@@ -29,7 +29,7 @@ from soft_tendon_env.evaluation.settings import episode_steps
 from soft_tendon_env.evaluation.summaries import interquartile_mean
 from soft_tendon_env.learning.config import Training, find_config, read_training
 from soft_tendon_env.learning.train import train
-from soft_tendon_env.policies import load_policy
+from soft_tendon_env.policies import load_policy, policy_options
 from soft_tendon_env.scene.file import scene_names
 
 TASK = "TipPose"
@@ -45,8 +45,22 @@ CAUSES: Mapping[str, tuple[str, ...]] = {
     "pushes": tuple(f"disturbance.loads.{i}.force" for i in range(3)),
 }
 """Names in `randomize` of a training, by the cause of errors."""
+LOAD = "load"
+CONTROLLER = "filtered:predictive"
+"""Model-based controller, whose errors under a load stand beside the agent's."""
+OF_ARM = ("scene", "control_period", "fidelity", "sensors")
+"""Options of the training that the controller has too."""
 PERCENT = 100.0
-HEADER = ("arm", "CPU of the training [min]", *CAUSES, "bad [%]")
+MINUTES = "cpu_minutes.txt"
+"""Name of the file with the CPU time of a complete training."""
+HEADER = (
+    "arm",
+    "CPU of the training [min]",
+    *CAUSES,
+    "bad [%]",
+    f"{LOAD}, MPC",
+    f"bad, {LOAD}, MPC [%]",
+)
 
 
 def main() -> None:
@@ -61,17 +75,29 @@ def main() -> None:
     episodes = 2 if arguments.quick else arguments.episodes
     rows = []
     for arm in arms:
-        folder = arguments.out / "own_agents" / arm.replace(",", "").replace(" ", "_")
+        name = arm.replace(",", "").replace(" ", "_")
+        folder = arguments.out / "own_agents" / f"{steps}_steps" / name
         training = training_of(arm, steps, folder)
+        minutes = trained(training, folder)
+        rows.append([arm, minutes, *errors(training, folder, episodes)])
+        # what is there is shown, since all arms take hours
+        write_csv(arguments.out / "own_agents.csv", HEADER, rows)
+        text = (
+            f"{episodes} episodes of a cause; errors in % of the length, interquartile mean and"
+            " worst."
+        )
+        write_tables(arguments.out / "own_agents.md", f"{text}\n\n{markdown_table(HEADER, rows)}")
+
+
+def trained(training: Training, folder: Path) -> str:
+    """CPU minutes of a training, which is run where the folder has none that is complete."""
+    file = folder / MINUTES
+    if not file.exists():
         started = time.process_time()
         train(training, folder)
         minutes = (time.process_time() - started) / 60.0
-        rows.append([arm, f"{minutes:.1f}", *errors(training, folder, episodes)])
-    write_csv(arguments.out / "own_agents.csv", HEADER, rows)
-    text = (
-        f"{episodes} episodes of a cause; errors in % of the length, interquartile mean and worst."
-    )
-    write_tables(arguments.out / "own_agents.md", f"{text}\n\n{markdown_table(HEADER, rows)}")
+        file.write_text(f"{minutes:.1f}", encoding="utf-8")
+    return file.read_text(encoding="utf-8")
 
 
 def training_of(arm: str, steps: int, folder: Path) -> Training:
@@ -87,28 +113,52 @@ def training_of(arm: str, steps: int, folder: Path) -> Training:
 
 
 def errors(training: Training, folder: Path, episodes: int) -> list[str]:
-    """Cells of a row: errors by cause, and the share of bad episodes of all."""
+    """Cells of a row: errors by cause and bad episodes of the agent, and MPC's under a load."""
+    agent = str(folder / "last")
     cells = []
-    bad = []
+    every_score = []
     for names in CAUSES.values():
-        scores = play(training, folder, names, episodes)
-        shares = [PERCENT * score.errors["position_error"].rms / score.length for score in scores]
-        cells.append(f"{interquartile_mean(shares):.2g} ({max(shares):.2g})")
-        bad += [score.bad for score in scores]
-    share_of_bad = PERCENT * sum(bad) / len(bad)
-    return [*cells, f"{share_of_bad:.2g}"]
+        scores = play(training, agent, training.options, names, episodes)
+        cells.append(error_cell(scores))
+        every_score += scores
+    cells.append(bad_cell(every_score))
+
+    arm = {name: training.options[name] for name in OF_ARM}
+    options = {**arm, **policy_options(CONTROLLER, TASK, arm)}
+    scores = play(training, CONTROLLER, options, CAUSES[LOAD], episodes)
+    return [*cells, error_cell(scores), bad_cell(scores)]
+
+
+def error_cell(scores: list[EpisodeScore]) -> str:
+    """Interquartile mean and worst of the position's errors, in percent of the length."""
+    shares = [PERCENT * score.errors["position_error"].rms / score.length for score in scores]
+    return f"{interquartile_mean(shares):.2g} ({max(shares):.2g})"
+
+
+def bad_cell(scores: list[EpisodeScore]) -> str:
+    """Share of bad episodes, in percent."""
+    bad = [score.bad for score in scores]
+    share = PERCENT * sum(bad) / len(bad)
+    return f"{share:.2g}"
 
 
 def play(
-    training: Training, folder: Path, names: tuple[str, ...], episodes: int
+    training: Training,
+    policy: str,
+    observed: Mapping[str, Any],
+    names: tuple[str, ...],
+    episodes: int,
 ) -> list[EpisodeScore]:
-    """Scores of the last agent of a training, with what it draws by these names alone."""
+    """Scores of a policy on targets of a training, with what it draws by these names alone.
+
+    observed: options of the environment, as the policy needs it.
+    """
     drawn = training.options["randomize"]
     causes: dict[str, Any] = {name: drawn[name] for name in names if name in drawn}
     effects = {name: drawn["effects"][name] for name in names if name in drawn["effects"]}
     target, *_ = training.options["target"]["of"]
     options = {
-        **training.options,
+        **observed,
         "target": target,
         "randomize": {**causes, "effects": effects},
     }
@@ -118,8 +168,8 @@ def play(
     with closing(
         gym.make_vec(IDS[TASK], num_envs=episodes, max_episode_steps=steps, **options)
     ) as envs:
-        policy = load_policy(str(folder / "last"), envs)
-        return evaluate_rows(policy, envs, seeds, skip)
+        loaded = load_policy(policy, envs)
+        return evaluate_rows(loaded, envs, seeds, skip)
 
 
 if __name__ == "__main__":
