@@ -44,7 +44,7 @@ SHORT = {
 """Short names of numbers of the scene: their keys, and how they are drawn."""
 
 OF_ACTUATORS = ("tension_gain", "tension_offset", "latency")
-"""What is drawn of the actuators, in the order of their draws."""
+"""Names of the draws of actuators, in their order."""
 
 OTHERS = "others"
 """Key in `omit` of all that it does not name."""
