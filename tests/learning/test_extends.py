@@ -147,7 +147,7 @@ def test_a_mistake_of_the_extended_file_is_said_with_its_name(write):
 
 def test_another_seed_of_a_further_training_compares_with_those_that_ship(tmp_path):
     """Its record has nothing of the training that it extends but what its own cost reads."""
-    training = read_training(find_config("apg_tip_pose_late"), seed=5)
+    training = read_training(find_config("apg_tip_pose_smooth"), seed=5)
     envs = gym.make_vec(IDS["TipPose"], num_envs=1, threads=1, **training.options)
     record = config_record(training, envs.unwrapped.episodes)
     (tmp_path / CONFIG).write_text(json.dumps(record))

@@ -30,7 +30,7 @@ def test_the_papers_arm_has_the_numbers_of_the_agents_that_ship(algorithm):
     record = json.loads((trained_folder() / algorithm / "TipPose" / CONFIG).read_text())
     path = config(algorithm)
     if algorithm == "apg":
-        path = find_config("apg_tip_pose_late")
+        path = find_config("apg_tip_pose_smooth")
     training = read_training(path).model_dump(mode="json")
     assert training["options"] == {"control_period": 0.02, **record["options"]}
     for key in ("hyperparameters", "seconds"):
