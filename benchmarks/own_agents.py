@@ -70,7 +70,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=1_000_000, help="steps of a training")
     parser.add_argument("--episodes", type=int, default=48, help="episodes of a cause")
     arguments = parser.parse_args()
-    arms = ["three_tendon"] if arguments.quick else arguments.arms
+    arms = ["sags"] if arguments.quick else arguments.arms
     steps = 500 if arguments.quick else arguments.steps
     episodes = 2 if arguments.quick else arguments.episodes
     rows = []
@@ -106,7 +106,7 @@ def training_of(arm: str, steps: int, folder: Path) -> Training:
     if arm in ARMS:
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / "arm.toml"
-        path.write_text(tomli_w.dumps(ARMS[arm]), encoding="utf-8")
+        path.write_text(tomli_w.dumps({"name": arm, **ARMS[arm]}), encoding="utf-8")
         scene = str(path)
     changes = [f"options.scene={scene}", f"evaluation.every={steps}"]
     return read_training(find_config(CONFIG), changes, steps=steps)
