@@ -124,6 +124,7 @@ def errors(training: Training, folder: Path, episodes: int) -> list[str]:
     cells.append(bad_cell(every_score))
 
     arm = {name: training.options[name] for name in OF_ARM}
+    arm["rate_limit"] = training.options["tension_rate"]  # as the agent's increments
     options = {**arm, **policy_options(CONTROLLER, TASK, arm)}
     scores = play(training, CONTROLLER, options, CAUSES[LOAD], episodes)
     return [*cells, error_cell(scores), bad_cell(scores)]
