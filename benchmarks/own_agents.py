@@ -11,8 +11,9 @@ under a load: what MPC reaches there says so. A training that is complete in OUT
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import closing
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +58,8 @@ HEADER = (
     "arm",
     "CPU of the training [min]",
     *CAUSES,
-    "bad [%]",
+    "bad, of all [%]",
+    f"bad, {LOAD} [%]",
     f"{LOAD}, MPC",
     f"bad, {LOAD}, MPC [%]",
 )
@@ -116,12 +118,12 @@ def errors(training: Training, folder: Path, episodes: int) -> list[str]:
     """Cells of a row: errors by cause and bad episodes of the agent, and MPC's under a load."""
     agent = str(folder / "last")
     cells = []
-    every_score = []
-    for names in CAUSES.values():
+    every_score: dict[str, list[EpisodeScore]] = {}
+    for cause, names in CAUSES.items():
         scores = play(training, agent, training.options, names, episodes)
         cells.append(error_cell(scores))
-        every_score += scores
-    cells.append(bad_cell(every_score))
+        every_score[cause] = scores
+    cells += [bad_cell(chain(*every_score.values())), bad_cell(every_score[LOAD])]
 
     arm = {name: training.options[name] for name in OF_ARM}
     arm["rate_limit"] = training.options["tension_rate"]  # as the agent's increments
@@ -136,7 +138,7 @@ def error_cell(scores: list[EpisodeScore]) -> str:
     return f"{interquartile_mean(shares):.2g} ({max(shares):.2g})"
 
 
-def bad_cell(scores: list[EpisodeScore]) -> str:
+def bad_cell(scores: Iterable[EpisodeScore]) -> str:
     """Share of bad episodes, in percent."""
     bad = [score.bad for score in scores]
     share = PERCENT * sum(bad) / len(bad)
