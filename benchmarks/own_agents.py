@@ -29,7 +29,7 @@ from soft_tendon_env.evaluation.play import evaluate_rows
 from soft_tendon_env.evaluation.settings import episode_steps
 from soft_tendon_env.evaluation.summaries import interquartile_mean
 from soft_tendon_env.learning.config import Training, find_config, read_training
-from soft_tendon_env.learning.train import train
+from soft_tendon_env.learning.train import checkpoint_to_resume, train
 from soft_tendon_env.policies import load_policy, policy_options
 from soft_tendon_env.scene.file import scene_names
 
@@ -94,7 +94,10 @@ def main() -> None:
 def trained(training: Training, folder: Path) -> str:
     """CPU minutes of a training, which is run where the folder has none that is complete."""
     file = folder / MINUTES
-    if not file.exists():
+    if file.exists():
+        # an agent of another configuration is refused
+        checkpoint_to_resume(folder, training, resume=True)
+    else:
         started = time.process_time()
         train(training, folder)
         minutes = (time.process_time() - started) / 60.0

@@ -181,10 +181,9 @@ class Randomization(Configuration):
         if not isinstance(self.omit, Mapping):
             return self.omit
         first = name.partition("|")[0]  # of numbers that change together
-        for key, probability in self.omit.items():
-            if _is_of(first, key):
-                return probability
-        return self.omit.get(OTHERS, 0.0)
+        keys = [key for key in self.omit if _is_of(first, key)]
+        closest = max(keys, key=len, default=OTHERS)
+        return self.omit.get(closest, 0.0)
 
     @property
     def of_actuators(self) -> bool:
@@ -228,6 +227,9 @@ def _omissions(given: Mapping[str, Any], numbers: Mapping[str, Any]) -> dict[str
         key, _ = SHORT.get(name, (name, ""))
         if not any(_is_of(number, key) for number in drawn):
             text = f"is nothing that is drawn: {not_among(name, drawn)}"
+            problems.append(Problem(("omit", name), text))
+        if key in omissions:
+            text = f"is {key}, which the table has already: leave one of them out"
             problems.append(Problem(("omit", name), text))
         omissions[key] = probability
     if problems:

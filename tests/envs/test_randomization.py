@@ -240,7 +240,11 @@ def test_an_omission_is_of_a_whole_vector_and_of_what_changes_with_it():
         "stiffness": [0.9, 1.1],
         "damping": [0.9, 1.1],
     }
-    omit = {"effects": {"gravity.acceleration": 0.3}, "stiffness": 0.2, "others": 0.1}
+    omit = {
+        "effects": {"gravity": 0.9, "gravity.acceleration": 0.3},
+        "stiffness": 0.2,
+        "others": 0.1,
+    }
     ranges = Randomization(**drawn, omit=omit)
     scene = given_scene({"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, 0.0]})
     omissions = {part.name: ranges.omission(part.name) for part in ranges.ranges(scene)}
@@ -257,6 +261,10 @@ def test_an_omission_is_of_a_whole_vector_and_of_what_changes_with_it():
         ({"latencies": 0.5}, "omit.latencies is nothing that is drawn: did you mean 'latency'?"),
         ({"latency": 1.5}, "omit"),
         ({"payload": 0.5}, "omit.payload is nothing that is drawn"),
+        (
+            {"stiffness": 0.5, "segments.*.young_modulus": 0.3},
+            "omit.segments.*.young_modulus is segments.*.young_modulus, which the table has",
+        ),
         ("often", "omit"),
     ],
 )
