@@ -80,6 +80,9 @@ DOUBT = 10.0
 BLUR = 2.0
 # relative singular value below which motions are not explained by tensions
 EXPLAINED = 1e-6
+# share of the rod's length above which errors are far, where unknown loads bend it by a radian: in
+# a quick motion under loads a filter takes what it does not yet know of a payload for other errors
+FAR = 0.075
 
 
 class Predictive(ModelController):
@@ -110,9 +113,9 @@ class Predictive(ModelController):
         self.horizon = tuning.horizon
         self._hold = tuning.hold
         self._interval = tuning.hold * period
-        # factor by which errors are planned to fall in an interval
-        decades = DECADES * self._interval / tuning.settling_time
-        self._decay = np.exp(-decades)
+        # time constants of errors that have passed where intervals end
+        ends = self._interval * np.arange(1, self.horizon + 1)
+        self._time_constants = DECADES / tuning.settling_time * ends
         # changes of a plan (N n_a,) from interval to interval, and the weight of plan and changes
         size = self.least.size
         plan_size = self.horizon * size
@@ -125,6 +128,7 @@ class Predictive(ModelController):
         rest = np.zeros(model.coordinate_count)
         terms_at_rest = model.terms(rest, rest)
         self._inertia = implicit_inertia(terms_at_rest, period)
+        self._stiffness = terms_at_rest.stiffness
         self._simulation = Simulation(model)
         self._has_states = model.arm.effects.state.size > 0
 
@@ -285,6 +289,7 @@ class Predictive(ModelController):
         N = self.horizon
         plan_size = N * size
         first, *later = self._linear_errors(rollout, now)
+        shares_left = self._planned_shares(first.error, now)
         # change of coordinates and rates by the tensions that act, interval by interval
         change = np.zeros((2 * n, plan_size))
         slopes = list[Array]()
@@ -298,8 +303,7 @@ class Predictive(ModelController):
             change[:, acting] = rollout.by_tension[k] * gain
             q_change = change[:n]
             slopes.append(linear.jacobian @ q_change)
-            decay = self._decay ** (k + 1)
-            planned = decay * first.error
+            planned = shares_left[k] * first.error
             remaining.append(linear.error - planned)
         # by the tensions that act, then by those of the plan
         by_plan, _ = self._lagged(now)
@@ -308,6 +312,34 @@ class Predictive(ModelController):
         slope = by_interval.reshape(-1, plan_size)
         errors = np.concatenate(remaining)
         return slope.T @ slope, -slope.T @ errors
+
+    def _planned_shares(self, error: Array, now: ControllerInput) -> Array:
+        """Shares (N,) of an error (k,) that are planned to be left where intervals end.
+
+        Errors fall exponentially. Under unknown loads a far one falls at a steady speed before,
+        that of a near one as it begins to fall.
+        """
+        far = 0.0  # size of the error beyond near ones, in sizes of these
+        bending = self._bending_by_loads(now)
+        if bending > 0.0:
+            near = FAR * self.model.length / bending
+            size = float(np.linalg.norm(error))
+            far = max(size / near - 1.0, 0.0)
+        # a time constant at a steady speed takes the size of a near error away
+        passed = self._time_constants
+        still_far = np.maximum(far - passed, 0.0)
+        near_since = np.maximum(passed - far, 0.0)
+        left = still_far + np.exp(-near_since)
+        return np.asarray(left / (1.0 + far))
+
+    def _bending_by_loads(self, now: ControllerInput) -> float:
+        """Angle [rad] by which loads that an estimator has found bend the arm, by linear theory."""
+        if now.force_error is None:
+            return 0.0
+        force = now.force_error.constant
+        deflection = np.linalg.solve(self._stiffness, force)
+        energy = force @ deflection  # twice what is stored
+        return float(np.sqrt(energy / self.model.bending_energy))
 
     def _linear_errors(self, rollout: Rollout, now: ControllerInput) -> list[LinearError]:
         """Errors of all objectives where every interval begins, and where the last one ends."""

@@ -12,6 +12,7 @@ import pytest
 from soft_tendon_env import Simulation
 from soft_tendon_env.control import ControllerInput, InputError, Reference
 from soft_tendon_env.control.dynamics import implicit_inertia
+from soft_tendon_env.control.force_errors import ForceError, TendonFriction
 from soft_tendon_env.control.objectives import LinearError, Shape, TipPose, TipPosition
 from soft_tendon_env.control.predictive import DEFAULT, Plan, Predictive, Tuning
 from soft_tendon_env.evaluation import evaluate, summarise
@@ -243,6 +244,42 @@ def test_a_plan_is_smoother_where_an_estimator_doubts(model, holding, surprise, 
     doubted = now._replace(surprise=surprise, timing_spread=spread)
     decision = Predictive(model, WIDE, PERIOD, TipPosition()).act(doubted)
     np.testing.assert_allclose(decision.memory.tension, expected.memory.tension, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("bending", "size"),
+    [(0.0, 0.5), (1.0, 0.05), (0.1, 0.5), (1.0, 0.3), (2.0, 0.3), (2.0, 1.0)],
+)
+def test_under_loads_far_errors_fall_at_a_steady_speed(model, holding, bending, size):
+    """At the speed of near ones, which fall exponentially; the less loads bend the arm, the farther
+    these reach."""
+    controller = Predictive(model, WIDE, PERIOD, TipPosition())
+    stiffness = model.terms(np.zeros(10), np.zeros(10)).stiffness
+    shape = np.linspace(-1.0, 2.0, 10)
+    energy = shape @ stiffness @ shape
+    force = bending * np.sqrt(model.bending_energy / energy) * (stiffness @ shape)
+    nothing = np.zeros((10, 10))
+    friction = TendonFriction(np.zeros(10), nothing)
+    loads = ForceError(force, nothing, nothing, nothing, np.zeros(10), friction)
+    now = near(model, holding, 0)._replace(force_error=loads)
+    error = size * model.length * np.array([0.6, 0.0, 0.8])
+    shares = controller._planned_shares(error, now)
+
+    near_size = np.inf
+    if bending:
+        near_size = 0.075 / bending
+    rate = 4.0 / DEFAULT.settling_time
+    left = size
+    steps = 1000
+    expected = []
+    for _ in range(controller.horizon):
+        for _ in range(steps):
+            left -= rate * min(left, near_size) * PERIOD / steps
+        expected.append(left / size)
+    np.testing.assert_allclose(shares, expected, rtol=5e-3)
+    assert controller._planned_shares(0.0 * error, now) == pytest.approx(
+        np.exp(-rate * PERIOD * np.arange(1, 13))
+    )
 
 
 @pytest.mark.parametrize(

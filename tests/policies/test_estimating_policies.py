@@ -132,6 +132,27 @@ def test_another_arm_with_everything_wrong_is_tracked(scene, regime):
     assert position_error(env, policy) < 0.01 * env.unwrapped.model.length
 
 
+@pytest.mark.parametrize(
+    "seed", [17, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (18, 23))]
+)
+def test_an_arm_of_few_tendons_under_heavy_loads_comes_near_its_target(seed):
+    """It cannot hold the pose; bold plans of its way there lost it, by 6 to 9 % of the length."""
+    env, policy = made(
+        "filtered:predictive@fast",
+        seconds=4.0,
+        fidelity="fast",
+        scene={"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, 0.0]},
+        target={"type": "random", "fraction": [0.15, 0.5]},
+        sensors=3,
+        rate_limit=12.0,
+        randomize={
+            "payload": [0.0, 0.025],
+            "effects": {"gravity.acceleration": [[-1.6, 1.6]] * 3},
+        },
+    )
+    assert position_error(env, policy, 2_000_000 + seed) < 0.025 * env.unwrapped.model.length
+
+
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_an_arm_that_rings_as_its_model_does_not_is_held(seed):
     """A fifth of the damping that is believed in: a bold plan excites vibrations that the filter
