@@ -75,6 +75,9 @@ DEFAULT = Tuning()
 CAUTION = 4.0
 # most further weight of smoothness: where squares of innovations are twice what is expected
 DOUBT = 10.0
+# more of it where unknown loads bend the arm by a radian or more and tensions may jump: a plan that
+# nothing bounds swings between their limits where the arm cannot hold its target
+LOADED = 3.0
 # more of the speed at which friction is whole, for every period by which the state is predicted: a
 # plan that trusts in a late direction of sliding swings about it
 BLUR = 2.0
@@ -217,7 +220,8 @@ class Predictive(ModelController):
         # a model that lacks a motion may let a bold plan excite it
         excess = min(max(now.surprise - 1.0, 0.0), 1.0)
         doubt = 1.0 + DOUBT * excess
-        smoothness = (caution * doubt) ** 2 * self._smoothness
+        loaded = 1.0 + LOADED * self._boldness(now) * min(self._bending_by_loads(now), 1.0)
+        smoothness = (caution * doubt * loaded) ** 2 * self._smoothness
         effort = self._effort * np.eye(tension.size)
         penalty = effort + smoothness * self._roughness
         hessian = hessian + unit * penalty
@@ -331,6 +335,13 @@ class Predictive(ModelController):
         near_since = np.maximum(passed - far, 0.0)
         left = still_far + np.exp(-near_since)
         return np.asarray(left / (1.0 + far))
+
+    def _boldness(self, now: ControllerInput) -> float:
+        """Share of their range by which tensions may change in a period, 1 where nothing limits."""
+        if now.greatest_change is None:
+            return 1.0
+        shares = now.greatest_change / (self.greatest - self.least)
+        return min(float(np.max(shares)), 1.0)
 
     def _bending_by_loads(self, now: ControllerInput) -> float:
         """Angle [rad] by which loads that an estimator has found bend the arm, by linear theory."""

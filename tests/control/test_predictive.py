@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env import Simulation
-from soft_tendon_env.control import ControllerInput, InputError, Reference
+from soft_tendon_env.control import ControllerInput, InputError, Reference, predictive
 from soft_tendon_env.control.dynamics import implicit_inertia
 from soft_tendon_env.control.force_errors import ForceError, TendonFriction
 from soft_tendon_env.control.objectives import LinearError, Shape, TipPose, TipPosition
@@ -59,6 +59,17 @@ def near(model, holding, seed):
     target = holding(model, tension + rng.uniform(-4.0, 4.0, 10))
     tip_pose = model.tip_pose(q)
     return ControllerInput(q, np.zeros(10), tip_pose, tension, target)
+
+
+def loads_that_bend(model, angle):
+    """Loads that a filter has found, which bend the arm by an angle [rad]."""
+    stiffness = model.terms(np.zeros(10), np.zeros(10)).stiffness
+    shape = np.linspace(-1.0, 2.0, 10)
+    energy = shape @ stiffness @ shape
+    force = angle * np.sqrt(model.bending_energy / energy) * (stiffness @ shape)
+    nothing = np.zeros((10, 10))
+    friction = TendonFriction(np.zeros(10), nothing)
+    return ForceError(force, nothing, nothing, nothing, np.zeros(10), friction)
 
 
 def predicted_cost(model, objective, now, plan, settling_time=DEFAULT.settling_time):
@@ -247,6 +258,24 @@ def test_a_plan_is_smoother_where_an_estimator_doubts(model, holding, surprise, 
 
 
 @pytest.mark.parametrize(
+    ("bending", "change", "factor"),
+    [(0.0, None, 1.0), (0.5, None, 2.5), (3.0, None, 4.0), (1.0, 20.0, 1.3), (1.0, 1e3, 4.0)],
+)
+def test_a_plan_that_may_jump_is_smoother_under_loads(
+    model, holding, monkeypatch, bending, change, factor
+):
+    """The more they bend the arm, up to a radian, and the more tensions may change in a period."""
+    loaded = near(model, holding, 2)._replace(force_error=loads_that_bend(model, bending))
+    if change is not None:
+        loaded = loaded._replace(greatest_change=np.full(10, change))
+    decision = Predictive(model, WIDE, PERIOD, TipPosition()).act(loaded)
+    monkeypatch.setattr(predictive, "LOADED", 0.0)
+    tuning = DEFAULT._replace(smoothness=factor * DEFAULT.smoothness)
+    expected = Predictive(model, WIDE, PERIOD, TipPosition(), tuning).act(loaded)
+    np.testing.assert_allclose(decision.memory.tension, expected.memory.tension, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
     ("bending", "size"),
     [(0.0, 0.5), (1.0, 0.05), (0.1, 0.5), (1.0, 0.3), (2.0, 0.3), (2.0, 1.0)],
 )
@@ -254,14 +283,7 @@ def test_under_loads_far_errors_fall_at_a_steady_speed(model, holding, bending, 
     """At the speed of near ones, which fall exponentially; the less loads bend the arm, the farther
     these reach."""
     controller = Predictive(model, WIDE, PERIOD, TipPosition())
-    stiffness = model.terms(np.zeros(10), np.zeros(10)).stiffness
-    shape = np.linspace(-1.0, 2.0, 10)
-    energy = shape @ stiffness @ shape
-    force = bending * np.sqrt(model.bending_energy / energy) * (stiffness @ shape)
-    nothing = np.zeros((10, 10))
-    friction = TendonFriction(np.zeros(10), nothing)
-    loads = ForceError(force, nothing, nothing, nothing, np.zeros(10), friction)
-    now = near(model, holding, 0)._replace(force_error=loads)
+    now = near(model, holding, 0)._replace(force_error=loads_that_bend(model, bending))
     error = size * model.length * np.array([0.6, 0.0, 0.8])
     shares = controller._planned_shares(error, now)
 
