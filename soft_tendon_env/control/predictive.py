@@ -116,9 +116,9 @@ class Predictive(ModelController):
         self.horizon = tuning.horizon
         self._hold = tuning.hold
         self._interval = tuning.hold * period
-        # time constants of errors that have passed where intervals end
-        ends = self._interval * np.arange(1, self.horizon + 1)
-        self._time_constants = DECADES / tuning.settling_time * ends
+        # time constants of errors in an interval, and the factor by which they are planned to fall
+        self._time_constants = DECADES * self._interval / tuning.settling_time
+        self._decay = np.exp(-self._time_constants)
         # changes of a plan (N n_a,) from interval to interval, and the weight of plan and changes
         size = self.least.size
         plan_size = self.horizon * size
@@ -330,10 +330,11 @@ class Predictive(ModelController):
             size = float(np.linalg.norm(error))
             far = max(size / near - 1.0, 0.0)
         # a time constant at a steady speed takes the size of a near error away
-        passed = self._time_constants
-        still_far = np.maximum(far - passed, 0.0)
-        near_since = np.maximum(passed - far, 0.0)
-        left = still_far + np.exp(-near_since)
+        steady = far / self._time_constants  # intervals
+        ends = np.arange(1, self.horizon + 1)
+        still_far = np.maximum(steady - ends, 0.0) * self._time_constants
+        near_since = np.maximum(ends - steady, 0.0)
+        left = still_far + self._decay**near_since
         return np.asarray(left / (1.0 + far))
 
     def _boldness(self, now: ControllerInput) -> float:
