@@ -11,6 +11,7 @@ lag of the actuators, and the displacement between the tip that is measured and 
 Internal states of effects begin at rest with the episode and are advanced by the model.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -220,7 +221,8 @@ class Predictive(ModelController):
         # a model that lacks a motion may let a bold plan excite it
         excess = min(max(now.surprise - 1.0, 0.0), 1.0)
         doubt = 1.0 + DOUBT * excess
-        loaded = 1.0 + LOADED * self._boldness(now) * min(self._bending_by_loads(now), 1.0)
+        bending = min(self._bending_by_loads(now), 1.0)
+        loaded = 1.0 + LOADED * self._boldness(now) * bending
         smoothness = (caution * doubt * loaded) ** 2 * self._smoothness
         effort = self._effort * np.eye(tension.size)
         penalty = effort + smoothness * self._roughness
@@ -350,8 +352,8 @@ class Predictive(ModelController):
             return 0.0
         force = now.force_error.constant
         deflection = np.linalg.solve(self._stiffness, force)
-        energy = force @ deflection  # twice what is stored
-        return float(np.sqrt(energy / self.model.bending_energy))
+        energy = max(float(force @ deflection), 0.0)  # twice what is stored, but for round-off
+        return math.sqrt(energy / self.model.bending_energy)
 
     def _linear_errors(self, rollout: Rollout, now: ControllerInput) -> list[LinearError]:
         """Errors of all objectives where every interval begins, and where the last one ends."""
