@@ -159,14 +159,17 @@ class Predictive(ModelController):
         allocation = self._improvement(rollout, plan, last, error.gain, now, multipliers)
         better = plan + allocation.x.reshape(plan.shape)
         rates, effects = None, None
+        response = rollout.by_tension[0, now.q.size :]
         if self._has_states or now.input_error is None:
             first, *_ = self._acting(better, error, now)
+            if self._hold > 1:
+                response = self._period_response(first)
             rates, effects = self._predicted(first)
         improved = Plan(
             tension=better,
             multipliers=allocation.multipliers,
             disturbance=error.offset,
-            response=rollout.by_tension[0, now.q.size :] / self._hold,
+            response=response,
             rates=rates,
             effects=effects,
         )
@@ -244,6 +247,19 @@ class Predictive(ModelController):
             highest = most - change
             rows = Rows(self._change, lowest, highest)
         return allocate(hessian, gradient, least, greatest, multipliers, rows)
+
+    def _period_response(self, tension: Array) -> Array:
+        """Response (n, n_a) of the rates to tensions (n_a,) over a period.
+
+        It is no share of that over an interval: a quick arm has swung back by then. Zero where the
+        model has no such motion.
+        """
+        try:
+            with erring_actuators():
+                rollout = self._simulation.rollout(tension[None], self.period)
+        except FAILURES:
+            return np.zeros((self.model.coordinate_count, tension.size))
+        return rollout.by_tension[0, self.model.coordinate_count :]
 
     def _predicted(self, tension: Array) -> tuple[Array | None, Array | None]:
         """Rates (n,) and internal states of effects (m,) after a period under tensions (n_a,).
