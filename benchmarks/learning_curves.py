@@ -1,12 +1,12 @@
-"""Learning curves for TipPose, over the seeds of trainings: a picture and a CSV file of
-docs/results.
+"""Learning curves of three agents for TipPose over the seeds of their trainings.
 
     python benchmarks/learning_curves.py [--seeds 5] [--steps 1000000] [--quick] [--out out]
 
-PPO and SAC are the agents that ship, with the curves of their trainings. APG learns here, by
-`configs/apg_tip_pose.toml` with fewer steps; a training that is complete in OUT is not repeated.
-Errors are geometric means over the validation episodes of a training that did not diverge, with
-interquartile means and intervals over its seeds.
+A picture and a CSV file of docs/results. PPO and SAC are the agents that ship, with the curves of
+their trainings. APG learns here, by `configs/apg_tip_pose.toml` with fewer steps: in OUT a training
+that is complete is not repeated, and an interrupted one goes on. Errors are geometric means over
+the validation episodes of a training that did not diverge, with interquartile means and intervals
+over its seeds.
 """
 
 import sys
@@ -16,7 +16,7 @@ import matplotlib.pyplot as plt
 from _results import markdown_table, parser_of, write_csv, write_picture
 
 from soft_tendon_env.drawing.palette import styles
-from soft_tendon_env.evaluation.entrants import seed_folders, trained_alike
+from soft_tendon_env.evaluation.entrants import trained_alike
 from soft_tendon_env.evaluation.pictures import set_log_scale
 from soft_tendon_env.evaluation.summaries import bootstrap_interval, interquartile_mean
 from soft_tendon_env.evaluation.tables import number, with_seeds
@@ -43,9 +43,9 @@ def main() -> None:
     seeds = 2 if arguments.quick else arguments.seeds
     steps = 500 if arguments.quick else arguments.steps
     folder = arguments.out / "learning_curves" / f"{steps}_steps" / CONFIG
-    train_seeds(folder, seeds, steps)
+    trained = train_seeds(folder, seeds, steps)
     every_curve = {algorithm: curves_of(algorithm) for algorithm in SHIPPED}
-    every_curve[TRAINED] = read_curves(folder, seed_folders(folder).values())
+    every_curve[TRAINED] = read_curves(folder, trained)
     drawn = styles(every_curve)
     rows = list[tuple[object, ...]]()
     ends = list[tuple[object, ...]]()
@@ -80,16 +80,22 @@ def main() -> None:
     print(f"\n{markdown_table(HEADER, ends)}\n")
 
 
-def train_seeds(folder: Path, seeds: int, steps: int) -> None:
-    """Trainings of APG in folders seed_0, seed_1, ...; what is complete there is left as it is."""
-    every = steps // EVALUATIONS
+def train_seeds(folder: Path, seeds: int, steps: int) -> list[Path]:
+    """Folders seed_0, seed_1, ... of trainings of APG, of which what is missing is learned."""
+    folders = []
     for seed in range(seeds):
         training = read_training(
-            find_config(CONFIG), [f"evaluation.every={every}"], steps=steps, seed=seed
+            find_config(CONFIG),
+            [f"evaluation.every={steps // EVALUATIONS}"],
+            steps=steps,
+            seed=seed,
         )
-        error = sweep.run_job(sweep.Job(training, folder / f"seed_{seed}"))
+        job = sweep.Job(training, folder / f"seed_{seed}")
+        error = sweep.run_job(job)
         if error is not None:
             sys.exit(error)
+        folders.append(job.folder)
+    return folders
 
 
 def curves_of(algorithm: str) -> Curves:

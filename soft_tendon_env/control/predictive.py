@@ -55,7 +55,8 @@ class Tuning(NamedTuple):
     those of configs/tuned_predictive.toml.
     """
 
-    # [s] within which errors that are there now are planned to fall to 2 %
+    # [s] within which errors that are there now are planned to fall to 2 %; far ones take longer
+    # under unknown loads
     settling_time: float = 0.174
     horizon: int = 12  # intervals to plan
     # control periods that an interval lasts, in which tensions stay as they are (move blocking)
@@ -76,16 +77,18 @@ DEFAULT = Tuning()
 CAUTION = 4.0
 # most further weight of smoothness: where squares of innovations are twice what is expected
 DOUBT = 10.0
-# more of it where unknown loads bend the arm by a radian or more and tensions may jump: a plan that
-# nothing bounds swings between their limits where the arm cannot hold its target
+# more weight of smoothness where unknown loads bend the arm by a radian or more, and nothing limits
+# how tensions change: where the arm cannot hold its target, such plans swing from one limit of
+# tensions to the other. Found with FAR, see docs/appendix/what_was_tried.md
 LOADED = 3.0
 # more of the speed at which friction is whole, for every period by which the state is predicted: a
 # plan that trusts in a late direction of sliding swings about it
 BLUR = 2.0
 # relative singular value below which motions are not explained by tensions
 EXPLAINED = 1e-6
-# share of the rod's length above which errors are far, where unknown loads bend it by a radian: in
-# a quick motion under loads a filter takes what it does not yet know of a payload for other errors
+# share of the rod's length above which errors are far where unknown loads bend it by a radian; the
+# share is twice as large for half the bending. In a quick motion under loads a filter takes what it
+# does not yet know of a payload for other errors
 FAR = 0.075
 
 
@@ -132,7 +135,6 @@ class Predictive(ModelController):
         rest = np.zeros(model.coordinate_count)
         terms_at_rest = model.terms(rest, rest)
         self._inertia = implicit_inertia(terms_at_rest, period)
-        self._stiffness = terms_at_rest.stiffness
         self._simulation = Simulation(model)
         self._has_states = model.arm.effects.state.size > 0
 
@@ -161,10 +163,10 @@ class Predictive(ModelController):
         rates, effects = None, None
         response = rollout.by_tension[0, now.q.size :]
         if self._has_states or now.input_error is None:
-            first, *_ = self._acting(better, error, now)
-            if self._hold > 1:
-                response = self._period_response(first)
-            rates, effects = self._predicted(first)
+            acting = self._acting_next(better[0], error, now)
+            if self._hold > 1 and now.input_error is None:
+                response = self._period_response(acting)
+            rates, effects = self._predicted(acting)
         improved = Plan(
             tension=better,
             multipliers=allocation.multipliers,
@@ -298,6 +300,13 @@ class Predictive(ModelController):
             tension = by_plan @ plan + from_start
         return error.gain * tension + error.offset
 
+    def _acting_next(self, tension: Array, error: InputError, now: ControllerInput) -> Array:
+        """Mean tensions (n_a,) [N] of the next period under tensions (n_a,) that are asked for."""
+        if now.actuators is not None:
+            by_command, by_start = lagged_plan(now.actuators.lag, self.period, 1)
+            tension = by_command[0, 0] * tension + by_start[0] * now.actuators.tension
+        return error.gain * tension + error.offset
+
     def _lagged(self, now: ControllerInput) -> tuple[Array, Array]:
         """Mean tensions of intervals by those of a plan (N, N), and by that which acts now (N,)."""
         if now.actuators is None:
@@ -311,7 +320,10 @@ class Predictive(ModelController):
         N = self.horizon
         plan_size = N * size
         first, *later = self._linear_errors(rollout, now)
-        shares_left = self._planned_shares(first.error, now)
+        # in metres, whatever the objectives weigh
+        unit = np.linalg.norm(first.jacobian) / np.linalg.norm(rollout.tip_jacobian[0, 3:])
+        error_size = float(np.linalg.norm(first.error) / unit)
+        shares_left = self._shares_left(error_size, now)
         # change of coordinates and rates by the tensions that act, interval by interval
         change = np.zeros((2 * n, plan_size))
         slopes = list[Array]()
@@ -335,41 +347,47 @@ class Predictive(ModelController):
         errors = np.concatenate(remaining)
         return slope.T @ slope, -slope.T @ errors
 
-    def _planned_shares(self, error: Array, now: ControllerInput) -> Array:
-        """Shares (N,) of an error (k,) that are planned to be left where intervals end.
+    def _shares_left(self, size: float, now: ControllerInput) -> Array:
+        """Shares (N,) of an error of this size [m] that are planned to be left as intervals end.
 
-        Errors fall exponentially. Under unknown loads a far one falls at a steady speed before,
-        that of a near one as it begins to fall.
+        Errors fall exponentially. Under unknown loads a far error falls at a constant speed first,
+        at which errors that are not far begin to fall.
         """
-        far = 0.0  # size of the error beyond near ones, in sizes of these
+        excess = 0.0  # of the size over that of the greatest error that is not far, in such sizes
         bending = self._bending_by_loads(now)
         if bending > 0.0:
-            near = FAR * self.model.length / bending
-            size = float(np.linalg.norm(error))
-            far = max(size / near - 1.0, 0.0)
-        # a time constant at a steady speed takes the size of a near error away
-        steady = far / self._time_constants  # intervals
+            greatest_near = FAR * self.model.length / bending
+            excess = max(size / greatest_near - 1.0, 0.0)
+        # at the constant speed a time constant takes one such size away
+        constant_intervals = excess / self._time_constants
         ends = np.arange(1, self.horizon + 1)
-        still_far = np.maximum(steady - ends, 0.0) * self._time_constants
-        near_since = np.maximum(ends - steady, 0.0)
-        left = still_far + self._decay**near_since
-        return np.asarray(left / (1.0 + far))
+        excess_left = np.maximum(constant_intervals - ends, 0.0) * self._time_constants
+        exponential_intervals = np.maximum(ends - constant_intervals, 0.0)
+        left = excess_left + self._decay**exponential_intervals
+        return np.asarray(left / (1.0 + excess))
 
     def _boldness(self, now: ControllerInput) -> float:
-        """Share of their range by which tensions may change in a period, 1 where nothing limits."""
+        """Share of their range by which tensions may change in an interval, at most 1.
+
+        1 where no limit is known: elastic tendons have theirs in metres.
+        """
         if now.greatest_change is None:
             return 1.0
-        shares = now.greatest_change / (self.greatest - self.least)
-        return min(float(np.max(shares)), 1.0)
+        change = self._hold * now.greatest_change.max()
+        widest = (self.greatest - self.least).max()
+        if change >= widest:
+            return 1.0
+        return float(change / widest)
 
     def _bending_by_loads(self, now: ControllerInput) -> float:
-        """Angle [rad] by which loads that an estimator has found bend the arm, by linear theory."""
+        """Angle [rad] of even bending that stores as much energy as loads do, by linear theory.
+
+        They are those that an estimator has found, with the centrifugal force of a payload.
+        """
         if now.force_error is None:
             return 0.0
-        force = now.force_error.constant
-        deflection = np.linalg.solve(self._stiffness, force)
-        energy = max(float(force @ deflection), 0.0)  # twice what is stored, but for round-off
-        return math.sqrt(energy / self.model.bending_energy)
+        in_metric = self.model.metric_unit.T @ now.force_error.constant
+        return float(np.linalg.norm(in_metric)) / math.sqrt(self.model.bending_energy)
 
     def _linear_errors(self, rollout: Rollout, now: ControllerInput) -> list[LinearError]:
         """Errors of all objectives where every interval begins, and where the last one ends."""
