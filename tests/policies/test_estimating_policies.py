@@ -132,25 +132,43 @@ def test_another_arm_with_everything_wrong_is_tracked(scene, regime):
     assert position_error(env, policy) < 0.01 * env.unwrapped.model.length
 
 
+HEAVY = {"three_tendon": (1.6, 0.025), "helical": (2.0, 0.048)}
+"""Gravity [m/s^2] of each direction and payloads [kg] by arm: they bend it by up to a radian, and
+are a quarter of its mass."""
+
+
 @pytest.mark.parametrize(
-    "seed", [17, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (18, 23))]
+    ("scene", "limits", "seed"),
+    [
+        ("three_tendon", {"rate_limit": 12.0}, 2_000_017),
+        ("helical", {}, 2_000_030),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (
+                ("three_tendon", {"rate_limit": 12.0}, 2_000_018),
+                ("three_tendon", {"rate_limit": 12.0}, 2_000_023),
+                ("helical", {}, 2_000_036),
+            )
+        ),
+    ],
 )
-def test_an_arm_of_few_tendons_under_heavy_loads_comes_near_its_target(seed):
-    """It cannot hold the pose; bold plans of its way there lost it, by 6 to 9 % of the length."""
+def test_an_arm_of_few_tendons_under_heavy_loads_comes_near_its_target(scene, limits, seed):
+    """It cannot hold the pose. Bold plans of the way there left it 6 to 11 % of its length off."""
+    gravity, payload = HEAVY[scene]
     env, policy = made(
         "filtered:predictive@fast",
         seconds=4.0,
         fidelity="fast",
-        scene={"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, 0.0]},
+        scene={"scene": scene, "effects.gravity.acceleration": [0.0, 0.0, 0.0]},
         target={"type": "random", "fraction": [0.15, 0.5]},
         sensors=3,
-        rate_limit=12.0,
         randomize={
-            "payload": [0.0, 0.025],
-            "effects": {"gravity.acceleration": [[-1.6, 1.6]] * 3},
+            "payload": [0.0, payload],
+            "effects": {"gravity.acceleration": [[-gravity, gravity]] * 3},
         },
+        **limits,
     )
-    assert position_error(env, policy, 2_000_000 + seed) < 0.025 * env.unwrapped.model.length
+    assert position_error(env, policy, seed) < 0.025 * env.unwrapped.model.length
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
