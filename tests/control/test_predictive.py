@@ -319,12 +319,22 @@ def test_plans_to_far_targets_are_slower_under_loads_whatever_objectives_weigh(
     loaded = near(model, holding, 2)._replace(force_error=loads_that_bend(model, 1.0))
     away = loaded.reference.tip_position + np.array([0.0, 0.3, 0.2])
     far = loaded._replace(reference=loaded.reference._replace(tip_position=away))
+    sizes = []
+    shares_left = Predictive._shares_left
+
+    def watched(controller, size, now):
+        sizes.append(size)
+        return shares_left(controller, size, now)
+
+    monkeypatch.setattr(Predictive, "_shares_left", watched)
 
     def planned(now, weight=1.0):
         return Predictive(model, WIDE, PERIOD, TipPosition(weight)).act(now).memory.tension
 
     slow, weighted = planned(far), planned(far, 10.0)
     np.testing.assert_allclose(slow, weighted, rtol=1e-6, atol=1e-6)
+    distance = np.linalg.norm(away - far.tip_pose[:3, 3])
+    np.testing.assert_allclose(sizes, distance, rtol=1e-9)
     monkeypatch.setattr(predictive, "FAR", 1e9)
     bold = planned(far)
     # by how much the first tensions change
