@@ -15,6 +15,7 @@ from soft_tendon_env.control.dynamics import implicit_inertia
 from soft_tendon_env.control.force_errors import ForceError, TendonFriction
 from soft_tendon_env.control.objectives import LinearError, Shape, TipPose, TipPosition
 from soft_tendon_env.control.predictive import DEFAULT, Plan, Predictive, Tuning
+from soft_tendon_env.control.protocol import LaggingActuators
 from soft_tendon_env.evaluation import evaluate, summarise
 from soft_tendon_env.policies import make_policy, observation_options
 
@@ -63,13 +64,16 @@ def near(model, holding, seed):
 
 def loads_that_bend(model, angle):
     """Loads that a filter has found, which bend the arm by an angle [rad]."""
-    stiffness = model.terms(np.zeros(10), np.zeros(10)).stiffness
-    shape = np.linspace(-1.0, 2.0, 10)
+    n = model.coordinate_count
+    rest = np.zeros(n)
+    stiffness = model.terms(rest, rest).stiffness
+    shape = np.linspace(-1.0, 2.0, n)
     energy = shape @ stiffness @ shape
     force = angle * np.sqrt(model.bending_energy / energy) * (stiffness @ shape)
-    nothing = np.zeros((10, 10))
-    friction = TendonFriction(np.zeros(10), nothing)
-    return ForceError(force, nothing, nothing, nothing, np.zeros(10), friction)
+    nothing = np.zeros((n, n))
+    none = np.zeros(model.tendon_count)
+    friction = TendonFriction(none, np.zeros((n, model.tendon_count)))
+    return ForceError(force, nothing, nothing, nothing, none, friction)
 
 
 def predicted_cost(model, objective, now, plan, settling_time=DEFAULT.settling_time):
@@ -275,7 +279,9 @@ def test_a_plan_that_may_jump_is_smoother_under_loads(
     tensions may change by in an interval."""
     loaded = near(model, holding, 2)._replace(force_error=loads_that_bend(model, bending))
     if change is not None:
-        loaded = loaded._replace(greatest_change=np.full(10, change))
+        changes = np.full(10, change)
+        changes[6] = 0.5 * change
+        loaded = loaded._replace(greatest_change=changes)
     limits = WIDE.copy()
     limits[3] = [0.0, 30.0]
     tuning = DEFAULT._replace(hold=hold)
@@ -291,11 +297,19 @@ def test_a_plan_that_may_jump_is_smoother_under_loads(
     ("bending", "size"),
     [(0.0, 0.5), (1.0, 0.0), (1.0, 0.05), (0.1, 0.5), (1.0, 0.3), (2.0, 0.3), (2.0, 1.0)],
 )
-def test_under_loads_far_errors_fall_at_a_constant_speed(model, holding, bending, size, hold):
+def test_under_loads_far_errors_fall_at_a_constant_speed(
+    build, limits_of, holding, bending, size, hold
+):
     """At that of near ones, which fall exponentially; the less loads bend the arm, the farther
-    these reach."""
-    controller = Predictive(model, WIDE, PERIOD, TipPosition(), DEFAULT._replace(hold=hold))
-    now = near(model, holding, 0)._replace(force_error=loads_that_bend(model, bending))
+    these reach. Sizes are shares of the length."""
+    model = build("three_tendon")
+    limits = limits_of(model)
+    controller = Predictive(model, limits, PERIOD, TipPosition(), DEFAULT._replace(hold=hold))
+    rest = np.zeros(model.coordinate_count)
+    none = np.zeros(model.tendon_count)
+    target = holding(model, none)
+    now = ControllerInput(rest, rest, model.tip_pose(rest), none, target)
+    now = now._replace(force_error=loads_that_bend(model, bending))
     shares = controller._shares_left(size * model.length, now)
 
     greatest_near = np.inf
@@ -413,6 +427,21 @@ def test_what_a_period_s_tension_does_is_remembered(model, holding, hold):
     response = controller.act(now).memory.response[:, 3]
     distance = np.linalg.norm(response - slope)
     assert distance < 0.15 * np.linalg.norm(slope)
+
+
+@pytest.mark.parametrize("hold", [1, 2])
+def test_actuators_that_lag_are_allowed_for_in_what_is_predicted(model, holding, hold):
+    """For a period, whatever an interval of the plan lasts."""
+    acting = np.linspace(5.0, 12.0, 10)
+    now = near(model, holding, 2)._replace(actuators=LaggingActuators(0.04, acting))
+    controller = Predictive(model, WIDE, PERIOD, TipPosition(), Tuning(hold=hold))
+    decision = controller.act(now)
+    asked = decision.memory.tension[0]
+    left = 2.0 * -np.expm1(-0.5)  # of the mean, by what acts when the period begins
+    simulation = Simulation(model)
+    simulation.reset(now.q, now.q_dot)
+    simulation.step(asked + left * (acting - asked), PERIOD)
+    np.testing.assert_allclose(decision.memory.rates, simulation.state.q_dot, rtol=1e-6, atol=1e-9)
 
 
 def test_an_observer_finds_nothing_in_a_quick_arm_at_rest(build, holding, drive, limits_of):
