@@ -149,7 +149,7 @@ class Predictive(ModelController):
         try:
             effects = None if memory is None else memory.effects
             self._simulation.reset(now.q, now.q_dot, time=now.time, effects=effects)
-            acting_plan = self._acting(plan, error, now)
+            acting_plan = self._acting(plan, error, now, self._interval)
             blur = BLUR * now.lead / self.period
             sliding_speed = SLIDING_SPEED * (1.0 + blur)
             rollout = corrected_rollout(
@@ -163,7 +163,7 @@ class Predictive(ModelController):
         rates, effects = None, None
         response = rollout.by_tension[0, now.q.size :]
         if self._has_states or now.input_error is None:
-            acting = self._acting_next(better[0], error, now)
+            (acting,) = self._acting(better[:1], error, now, self.period)
             if self._hold > 1 and now.input_error is None:
                 response = self._period_response(acting)
             rates, effects = self._predicted(acting)
@@ -291,27 +291,25 @@ class Predictive(ModelController):
         disturbance = memory.disturbance + self.observer * tension
         return np.asarray(disturbance)
 
-    def _acting(self, plan: Array, error: InputError, now: ControllerInput) -> Array:
-        """Mean tensions (N, n_a) [N] of the intervals that a plan makes the actuators give."""
+    def _acting(
+        self, plan: Array, error: InputError, now: ControllerInput, interval: float
+    ) -> Array:
+        """Mean tensions (k, n_a) [N] that the actuators give.
+
+        A plan (k, n_a) is asked for, each row for an interval [s].
+        """
         tension = plan
         if now.actuators is not None:
-            by_plan, by_start = self._lagged(now)
+            by_plan, by_start = self._lagged(now, len(plan), interval)
             from_start = np.outer(by_start, now.actuators.tension)
             tension = by_plan @ plan + from_start
         return error.gain * tension + error.offset
 
-    def _acting_next(self, tension: Array, error: InputError, now: ControllerInput) -> Array:
-        """Mean tensions (n_a,) [N] of the next period under tensions (n_a,) that are asked for."""
-        if now.actuators is not None:
-            by_command, by_start = lagged_plan(now.actuators.lag, self.period, 1)
-            tension = by_command[0, 0] * tension + by_start[0] * now.actuators.tension
-        return error.gain * tension + error.offset
-
-    def _lagged(self, now: ControllerInput) -> tuple[Array, Array]:
-        """Mean tensions of intervals by those of a plan (N, N), and by that which acts now (N,)."""
+    def _lagged(self, now: ControllerInput, count: int, interval: float) -> tuple[Array, Array]:
+        """Mean tensions of k intervals [s] by those asked for (k, k), and by what acts now (k,)."""
         if now.actuators is None:
-            return np.eye(self.horizon), np.zeros(self.horizon)
-        return lagged_plan(now.actuators.lag, self._interval, self.horizon)
+            return np.eye(count), np.zeros(count)
+        return lagged_plan(now.actuators.lag, interval, count)
 
     def _program(self, rollout: Rollout, gain: Array, now: ControllerInput) -> tuple[Array, Array]:
         """Hessian and gradient of the squared errors by changes of the plan (N * n_a,)."""
@@ -340,7 +338,7 @@ class Predictive(ModelController):
             planned = shares_left[k] * first.error
             remaining.append(linear.error - planned)
         # by the tensions that act, then by those of the plan
-        by_plan, _ = self._lagged(now)
+        by_plan, _ = self._lagged(now, N, self._interval)
         by_acting = np.concatenate(slopes).reshape(-1, N, size)
         by_interval = np.einsum("ekt,kj->ejt", by_acting, by_plan)
         slope = by_interval.reshape(-1, plan_size)
