@@ -18,7 +18,7 @@ from soft_tendon_env.evaluation.benchmark import (
 from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.tables import records, write_csv, write_markdown
-from soft_tendon_env.policies.names import Controller, PolicyName
+from soft_tendon_env.policies.names import Agent, Controller, PolicyName
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.files import CONFIGS
@@ -123,7 +123,7 @@ def run(settings: Arena) -> None:
 def _hours(cell: Cell) -> float:
     """Time [h] that a cell is expected to take a core."""
     policy = PolicyName.parse(cell.policy, cell.task)
-    if isinstance(policy, Controller):
+    if isinstance(policy, Controller) or (isinstance(policy, Agent) and policy.estimator):
         pace = CONTROLLER_PACE
     else:
         pace = AGENT_PACE

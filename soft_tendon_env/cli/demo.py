@@ -84,7 +84,7 @@ def run(settings: Demo) -> None:
 
         file = RerunFile(writable_folder(out) / "demo.rrd")
         configs = {
-            name: Agent(policy, TASK).config
+            name: Agent(policy, TASK, policy).config
             for policy, name in SHOWN.items()
             if policy not in known
         }

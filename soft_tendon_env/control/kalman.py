@@ -108,6 +108,8 @@ class ExtendedKalmanFilter:
         self._initial = InitialBelief(self.space, setting, tension, self.greatest)
         self._prediction = BeliefPrediction(self.space, setting, self.history)
         self._period = setting.period
+        # no estimate of the tip's pose is better than an exact measurement
+        self._is_pose_exact = setting.noise.position == 0.0 == setting.noise.rotation
         self._sensor_model = SensorModel(
             model, self.space.layout, self.needs, sensors, setting.noise
         )
@@ -122,8 +124,8 @@ class ExtendedKalmanFilter:
             last: estimate of the period before, None when an episode begins.
 
         Returns:
-            Coordinates, rates and tip pose, errors of inputs and forces, and the timing of
-            commands if it is estimated.
+            Coordinates and rates, errors of inputs and forces; the tip's pose where its sensors
+            have noise, and the timing of commands if it is estimated.
         """
         belief = None
         if last is not None:
@@ -134,12 +136,15 @@ class ExtendedKalmanFilter:
         if belief is None:
             belief = self._begin(measured)
         mean = belief.mean
-        layout = self.space.layout
         q, q_dot = self.space.coordinates(mean)
+        tip_pose = None
+        if not self._is_pose_exact:
+            displacement = mean[self.space.layout.tip]
+            tip_pose = moved_pose(belief.locality.terms.tip_pose, displacement)
         return Estimate(
             q=q,
             q_dot=q_dot,
-            tip_pose=moved_pose(belief.locality.terms.tip_pose, mean[layout.tip]),
+            tip_pose=tip_pose,
             input_error=self.space.input_error(mean),
             force_error=self.space.force_error(mean, belief.locality),
             timing=self.space.timing(mean) if None in self.known else None,

@@ -499,11 +499,19 @@ class History:
     @property
     def changes(self) -> NDArray[np.float32]:
         """Past less present, a new array (rows, periods * m), the latest period first."""
-        past = self.frames[:, 1:]
-        present = self.frames[:, :1]
-        unit = np.float32(CHANGE)
-        changes = (past - present) / unit
-        return changes.reshape(len(changes), -1)
+        return changes_of(self.frames)
+
+
+def changes_of(frames: NDArray[Any]) -> NDArray[Any]:
+    """Past less present of frames (rows, 1 + periods, m), in a tenth of their units.
+
+    It is (rows, periods * m), the latest period first.
+    """
+    past = frames[:, 1:]
+    present = frames[:, :1]
+    unit = frames.dtype.type(CHANGE)
+    changes = (past - present) / unit
+    return changes.reshape(len(changes), -1)
 
 
 def stress_free_strain(scene: Scene, arc_length: Array) -> Array:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from soft_tendon_env.control import controllers_of
-from soft_tendon_env.policies.agent import find_agent, is_agent
+from soft_tendon_env.policies.agent import is_agent
 from soft_tendon_env.policies.names import ALL, BEST, Agent, Controller, PolicyName
 from soft_tendon_env.tools.files import read_json
 
@@ -44,10 +44,10 @@ def trained_alike(policy: PolicyName) -> dict[int | None, str]:
     beside its files; None: it is alone, or not an agent. Raises ValueError, OSError unless all were
     trained alike.
     """
-    folder = None
-    if isinstance(policy, Agent):
-        folder = find_agent(policy.text, policy.task)
-    if folder is None or not any(folder.glob("seed_*")):
+    if not isinstance(policy, Agent):
+        return {None: policy.text}
+    folder = policy.folder
+    if not any(folder.glob("seed_*")):
         return {None: policy.text}
     seed = read_run(folder).get("seed")
     others = seed_folders(folder)
@@ -56,7 +56,7 @@ def trained_alike(policy: PolicyName) -> dict[int | None, str]:
     every_folder = [(seed, folder), *others.items()]
     folders = dict[int | None, Path](every_folder)
     check_alike(list(folders.values()), policy.task)
-    return {seed: str(path) for seed, path in folders.items()}
+    return {seed: policy.with_folder(path) for seed, path in folders.items()}
 
 
 def seed_files(folder: Path, task: str) -> dict[int | None, str]:
@@ -131,16 +131,16 @@ def read_run(run: Path) -> dict[str, Any]:
 def model_in_the_loop(policy: PolicyName, told: bool = False) -> str:
     """A policy's use of a model of the arm at run time, in words.
 
-    It is "none" for agents, "own" for users' policies, of which it is not known. told: whether a
-    controller's model has the effects of a benchmark's setting.
+    It is "none" for agents alone, "own" for users' policies, of which it is not known. told:
+    whether its model has the effects of a benchmark's setting.
     """
+    if not isinstance(policy, Controller | Agent):
+        return "own"
+    words = list[str]()
     if isinstance(policy, Controller):
-        words = ["controller"]
-        if policy.estimator is not None:
-            words.append(f"{policy.estimator} estimator")
-        if told:
-            words.append("told of the effects")
-        return ", ".join(words)
-    if isinstance(policy, Agent):
-        return "none"
-    return "own"
+        words.append("controller")
+    if policy.estimator is not None:
+        words.append(f"{policy.estimator} estimator")
+    if words and told:
+        words.append("told of the effects")
+    return ", ".join(words) or "none"

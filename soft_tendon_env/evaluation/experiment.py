@@ -26,7 +26,7 @@ from soft_tendon_env.evaluation.play import play
 from soft_tendon_env.evaluation.provenance import machine, origin
 from soft_tendon_env.evaluation.settings import episode_steps
 from soft_tendon_env.policies.agent import TrainingWarning
-from soft_tendon_env.policies.names import Controller, PolicyName, UserPolicy
+from soft_tendon_env.policies.names import Agent, Controller, PolicyName, UserPolicy
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.files import PACKAGE, digest, read_json, replacing, sources_digest
@@ -106,17 +106,20 @@ class Cell(NamedTuple):
         return hashlib.sha256(written).hexdigest()[:24]
 
 
-def believed_scene(policy: PolicyName, controller_scene: Mapping[str, Any] | None) -> Scene | None:
-    """Scene of the model that a controller or a user's policy assumes.
+def believed_scene(
+    policy: Controller | Agent | UserPolicy, controller_scene: Mapping[str, Any] | None
+) -> Scene | None:
+    """Scene of the model that a controller, a state estimator or a user's policy assumes.
 
-    It is at BELIEF unless its name says a fidelity; None for agents, and without the option `scene`
-    of such an arm. Raises ValueError.
+    It is at BELIEF unless its name says a fidelity; None for agents alone, and without the option
+    `scene` of such an arm. Raises ValueError.
     """
-    if controller_scene is None or not isinstance(policy, Controller | UserPolicy):
+    is_agent_alone = isinstance(policy, Agent) and policy.estimator is None
+    if controller_scene is None or is_agent_alone:
         return None
     options = Options(scene=dict(controller_scene), fidelity="scene")
     scene = resolved_scene(options)
-    if isinstance(policy, Controller) and policy.belief:
+    if not isinstance(policy, UserPolicy) and policy.belief:
         return scene
     return at_fidelity(scene, BELIEF)
 

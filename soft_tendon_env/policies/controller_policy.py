@@ -14,20 +14,27 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.control import protocol
-from soft_tendon_env.control.arrival_predictor import ArrivalPredictor
 from soft_tendon_env.control.catalogue import LOOKS_AHEAD, Entry, controllers_of, valid_controllers
 from soft_tendon_env.control.command_filter import SAME, Timing, whole_periods
 from soft_tendon_env.control.diagnosis import Diagnosis
-from soft_tendon_env.control.kalman import ExtendedKalmanFilter
 from soft_tendon_env.control.own_cost import Given, own_cost
-from soft_tendon_env.control.uncertainty import USUAL, Setting, Uncertainty
+from soft_tendon_env.control.uncertainty import USUAL, Uncertainty
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.tasks import TASKS, TIP
-from soft_tendon_env.mechanics.motion.pose_errors import move_poses
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
-from soft_tendon_env.policies.estimators import ESTIMATORS, PARAMETERS, EstimatorEntry
-from soft_tendon_env.policies.protocol import LostState
+from soft_tendon_env.policies.arm_observer import (
+    SAME_COMMAND,
+    ArmMemory,
+    ArmObserver,
+    believed_arm,
+    greatest_timing,
+    make_observer,
+    missing_groups,
+)
+from soft_tendon_env.policies.estimators import ESTIMATORS, EstimatorEntry
+from soft_tendon_env.policies.observed_poses import target_poses, tip_poses
+from soft_tendon_env.policies.protocol import LostState, memories_of
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.tools.checks import checked_number
 from soft_tendon_env.tools.configuration import (
@@ -41,10 +48,6 @@ from soft_tendon_env.tools.linear_algebra import one_thread
 from soft_tendon_env.tools.registry import Registry
 from soft_tendon_env.tools.types import Array
 
-# share of the largest command by which one that is observed in single precision may differ from
-# what it was
-SAME_COMMAND = 1e-6
-
 
 class RowMemory(NamedTuple):
     """State of a controller's policy for one row, from one call of `predict` to the next."""
@@ -52,10 +55,7 @@ class RowMemory(NamedTuple):
     decision: protocol.ControllerOutput | None
     tension: Array  # (n_a,) [N] asked for last
     command: Array  # (n_a,) given for that: the same, or displacements [m]
-    estimate: protocol.Estimate | None
-    periods: int  # that the episode has lasted
-    # tensions (n_a,) [N] asked for, as far as they may not have arrived, the newest last
-    sent: tuple[Array, ...]
+    arm: ArmMemory
 
 
 def observation_options(
@@ -86,7 +86,7 @@ def observation_options(
     estimator_entry = _among("estimator", estimator, ESTIMATORS)
     reference = _among("task", task, TASKS).measured_reference
     entry = _controller(controller, task)
-    greatest = _greatest_timing(Timing(latency, None), estimator_entry)
+    greatest = greatest_timing(Timing(latency, None), estimator_entry)
     ahead = _periods_ahead(entry, greatest.latency, period)
     options: dict[str, Any] = {"action": "tension"}
     periods = range(1, ahead + 1)
@@ -144,25 +144,19 @@ def make_policy(
             f" environment's has {episodes.model.coordinate_count}, which are observed: it should"
             " have the same strain parametrisation"
         )
-    believed, known = _under_tensions(model)
+    believed, known = believed_arm(model)
     if latency is not None:
         late = checked_number("latency", latency, 0.0, "a number of seconds, at least 0")
         known = known._replace(latency=late)
     entry = _controller(controller, episodes.task.name)
     if objectives is not None:
         entry = _with_objectives(entry, objectives, believed, episodes)
-    greatest = _greatest_timing(known, estimator_entry)
+    greatest = greatest_timing(known, estimator_entry)
     ahead = _periods_ahead(entry, greatest.latency, episodes.period)
     _check_preview(entry, episodes, ahead)
-    predictor = None
-    if max(greatest) > 0.0:
-        predictor = ArrivalPredictor(believed, greatest, episodes.period)
-    made = None
-    if estimator_entry is not None:
-        setting = _setting(episodes, known, uncertainty)
-        made = estimator_entry.make(believed, setting)
+    observer = make_observer(episodes, believed, known, estimator_entry, uncertainty)
     law = entry.make(believed, episodes.limits.copy(), episodes.period)
-    return ControllerPolicy(law, env, model if differs else None, made, predictor)
+    return ControllerPolicy(law, env, model if differs else None, observer)
 
 
 def _with_objectives(
@@ -188,56 +182,6 @@ def _with_objectives(
     if "wanted_coordinates" in groups or "target_coordinates" in groups:
         told.append("q")
     return entry.with_cost(own_cost(objectives, model, told))
-
-
-def _setting(episodes: Episodes, known: Timing, uncertainty: Uncertainty) -> Setting:
-    """Values of the environment that an estimator knows, with the timing of commands [s]."""
-    measured = []
-    for group, field in PARAMETERS.items():
-        is_measured = field in protocol.Measurement._fields
-        if is_measured and group in episodes.layout.slices:
-            measured.append(field)
-    return Setting(
-        episodes.period,
-        episodes.start_tension.copy(),
-        tuple(measured),
-        episodes.sensors.copy(),
-        episodes.options.randomize.noise,
-        known.latency,
-        known.lag,
-        uncertainty,
-    )
-
-
-def _under_tensions(model: Model) -> tuple[Model, Timing]:
-    """Model of the same arm whose commands are tensions that arrive at once.
-
-    Returns:
-        The model, and what is known of the timing of commands besides the model's own lag: the
-        delay of its actuators, which it leaves out. A model without actuators knows nothing.
-    """
-    effects = model.scene.effects
-    changes: dict[str, Any] = {}
-    for name, effect in effects.chosen().items():
-        if effect.command_unit != "N":
-            changes[f"effects.{name}"] = None
-    known = Timing(None, None)
-    if effects.actuators is not None:
-        known = Timing(effects.actuators.delay, 0.0)
-        if effects.actuators.delay:
-            changes["effects.actuators.delay"] = 0.0
-    if changes:
-        model = build_model(model.scene.replace(changes))
-    return model, known
-
-
-def _greatest_timing(known: Timing, estimator: EstimatorEntry | None) -> Timing:
-    """Greatest latency and lag [s] that the controller is to make up for: known, or estimated."""
-    estimated = Timing(0.0, 0.0) if estimator is None else estimator.greatest_timing
-    return Timing(
-        estimated.latency if known.latency is None else known.latency,
-        estimated.lag if known.lag is None else known.lag,
-    )
 
 
 def _periods_ahead(entry: Entry, latency: float, period: float) -> int:
@@ -302,8 +246,8 @@ class ControllerPolicy:
         controller: what acts.
         env: its environment.
         model: which knows what commands make tensions, by default the environment's.
-        estimator: finds the coordinates; None: they are observed.
-        predictor: of where the arm will be when commands arrive; None: they arrive at once.
+        observer: of the arm's state, by default one whose coordinates are observed, and whose
+            commands arrive at once.
 
     Raises:
         TypeError: the environment is of another package.
@@ -315,27 +259,17 @@ class ControllerPolicy:
         controller: protocol.Controller,
         env: Any,
         model: Model | None = None,
-        estimator: protocol.Estimator | None = None,
-        predictor: ArrivalPredictor | None = None,
+        observer: ArmObserver | None = None,
     ) -> None:
         """Makes the policy for the environment."""
         self.controller = controller
-        self.estimator = estimator
-        self.predictor = predictor
         episodes = episodes_of(env)
+        self.observer = observer or ArmObserver(episodes)
         self.layout = episodes.layout
         self._actions = episodes.actions
         self._ahead = episodes.ahead.copy()
         self._period = episodes.period
-        self._start = episodes.start_tension.copy()
-        self._start_command = episodes.start_command.copy()
         self._model = model or episodes.model
-        # of lengths and strains, which are observed as differences
-        self._zeros = episodes.observed.rest._asdict()
-        self._waiting = 0  # tensions that are remembered
-        for part in (estimator, predictor):
-            if part is not None:
-                self._waiting = max(self._waiting, part.history)
         self._lost = LostState(type(controller).__name__)
         self._simulation: Simulation | None = None  # of the arm under tensions
         # (n_a,) [N] of tensions in a period; commands of other units limit them in other ways
@@ -350,12 +284,10 @@ class ControllerPolicy:
     def _check(self, episodes: Episodes) -> None:
         """Raises ConfigurationError where the observation lacks something."""
         groups = episodes.layout.slices
-        state = ("q", "q_dot") if self.estimator is None else self.estimator.needs
-        needed = [*TIP]
-        needed += [group for group, field in PARAMETERS.items() if field in state]
+        missing = [group for group in TIP if group not in groups]
+        missing += missing_groups(self.observer, groups)
         if "wanted_coordinates" not in groups:
-            needed += episodes.task.reference
-        missing = [group for group in needed if group not in groups]
+            missing += [group for group in episodes.task.reference if group not in groups]
         problems = []
         if missing:
             text = (
@@ -399,9 +331,9 @@ class ControllerPolicy:
             flat = observation["observation"]
             goal = np.atleast_2d(observation["desired_goal"]).astype(np.float64)
         values = self.layout.values(np.atleast_2d(flat))
-        memories = _memories(len(values["tip_position"]), state, episode_start)
-        poses = _tip_poses(values)
-        targets = _target_poses(values, poses)
+        memories = memories_of(len(values["tip_position"]), state, episode_start)
+        poses = tip_poses(values)
+        targets = target_poses(values, poses)
         actions = []
         after = []
         for row, memory in enumerate(memories):
@@ -437,17 +369,7 @@ class ControllerPolicy:
             TypeError: the policy has no Kalman filter.
             ValueError: nothing has been estimated yet.
         """
-        if not isinstance(self.estimator, ExtendedKalmanFilter):
-            raise TypeError(
-                f"{type(self.estimator).__name__} makes no diagnosis: only the Kalman filter does,"
-                " as in filtered:predictive"
-            )
-        diagnoses = []
-        for memory in state:
-            if memory.estimate is None:
-                raise ValueError("state has no estimate yet: it should be what predict() returned")
-            diagnoses.append(self.estimator.diagnosis(memory.estimate))
-        return tuple(diagnoses)
+        return self.observer.diagnoses(tuple(memory.arm for memory in state))
 
     def _decide(
         self, groups: dict[str, Array], pose: Array, target: protocol.Reference, memory: RowMemory
@@ -460,72 +382,21 @@ class ControllerPolicy:
             target: what the controller is to follow.
             memory: from the last call.
         """
-        time = memory.periods * self._period
-        estimate = self._estimate(groups, pose, time, memory)
-        now = protocol.ControllerInput(
-            estimate.q,
-            estimate.q_dot,
-            pose if estimate.tip_pose is None else estimate.tip_pose,
-            memory.tension,
-            target,
-            time,
-            estimate.input_error,
-            estimate.force_error,
-            timing_spread=estimate.timing_spread,
-            surprise=estimate.surprise,
-            greatest_change=self._greatest_change,
-        )
-        if self.predictor is not None:
-            now = self.predictor.predict(now, memory.sent, estimate.timing)
+        sight = self.observer.look(groups, pose, target, memory.tension, memory.arm)
+        now = sight.arrival._replace(greatest_change=self._greatest_change)
         of_controller = None if memory.decision is None else memory.decision.memory
         decision = self.controller.act(now, of_controller)
+        estimate = sight.estimate
         action, asked, command = self._command(
             decision.tension, estimate.q, estimate.q_dot, memory.command
         )
-        every_sent = (*memory.sent[1:], asked)
-        sent = every_sent[: self._waiting]
-        periods = memory.periods + 1
-        return action, RowMemory(decision, asked, command, estimate, periods, sent)
-
-    def _estimate(
-        self, groups: dict[str, Array], pose: Array, time: float, memory: RowMemory
-    ) -> protocol.Estimate:
-        """Coordinates and rates of a row, which the environment observes without an estimator."""
-        if self.estimator is None:
-            coordinates: Any = groups.get("coordinates")
-            rates: Any = groups.get("rates")
-            return protocol.Estimate(coordinates, rates)
-        fields = {}
-        for group, name in PARAMETERS.items():
-            if name not in self.estimator.needs:
-                continue
-            value = groups[group]
-            if name in ("strain", "strain_rate"):
-                value = value.reshape(-1, 6)
-            if name in self._zeros:
-                value = value + self._zeros[name]
-            fields[name] = value
-        history = self.estimator.history
-        last_sent = memory.sent[-history:] if history else ()
-        sent = np.array(last_sent).reshape(-1, self._start.size)
-        measurement = protocol.Measurement(pose, sent, time, **fields)
-        return self.estimator.estimate(measurement, memory.estimate)
+        arm = self.observer.remember(memory.arm, estimate, asked)
+        return action, RowMemory(decision, asked, command, arm)
 
     def _fresh(self, groups: dict[str, Array]) -> RowMemory:
-        """The memory of a row whose episode begins.
-
-        It is under the command that is observed, or else that of rest.
-        """
-        start = self._start
-        command = self._start_command
-        observed = groups.get("command", command)
-        round_off = SAME_COMMAND * np.abs(self._actions.greatest)
-        if not np.allclose(observed, command, 0.0, round_off):
-            command = observed
-            if self._simulation is None:
-                start = observed
-        sent = (start,) * self._waiting
-        return RowMemory(None, start, command, None, 0, sent)
+        """The memory of a row whose episode begins."""
+        tension, command, arm = self.observer.begin(groups)
+        return RowMemory(None, tension, command, arm)
 
     def _command(
         self, tension: Array, q: Array, q_dot: Array, before: Array
@@ -566,53 +437,6 @@ class ControllerPolicy:
             lacking = cut / (of_a_newton - of_none)
             asked = np.maximum(tension + lacking, 0.0)
         return action, asked, sent
-
-
-def _memories(
-    rows: int, state: tuple[RowMemory, ...] | None, episode_start: Any
-) -> list[RowMemory | None]:
-    """Memories of rows, None of those whose episode begins."""
-    memories: list[RowMemory | None] = [None] * rows if state is None else list(state)
-    if episode_start is None:
-        return memories
-    starts = np.atleast_1d(episode_start)
-    return [None if begins else memory for begins, memory in zip(starts, memories, strict=True)]
-
-
-def _tip_poses(values: dict[str, Array]) -> Array:
-    """Measured poses (rows, 4, 4).
-
-    The rotation's columns are made orthonormal again after their rounding.
-    """
-    x_rounded, y_rounded = np.split(values["tip_rotation"], 2, axis=1)
-    x = _unit(x_rounded)
-    along = (x * y_rounded).sum(axis=1, keepdims=True)
-    y = _unit(y_rounded - along * x)
-    z = np.cross(x, y)
-    rotation = np.stack([x, y, z], axis=2)
-    shape = (len(x), 1, 1)
-    pose = np.tile(np.eye(4), shape)
-    pose[:, :3, :3] = rotation
-    pose[:, :3, 3] = values["tip_position"]
-    return pose
-
-
-def _unit(vectors: Array) -> Array:
-    """Vectors (rows, 3) of length 1."""
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-
-
-def _target_poses(values: dict[str, Array], poses: Array) -> Array | None:
-    """Target poses (rows, 1 + previews, 4, 4), or None where the observation has none."""
-    if "target_error" not in values:
-        return None
-    rows = len(poses)
-    preview = values.get("preview", np.empty((rows, 0)))
-    entries = np.concatenate([values["target_error"], preview], axis=1)
-    errors = entries.reshape(rows, -1, 6)
-    targets = np.empty((*errors.shape[:2], 4, 4))
-    move_poses(poses, errors, targets)
-    return targets
 
 
 def _target_coordinates(groups: dict[str, Array], samples: int) -> Array | None:

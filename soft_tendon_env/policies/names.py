@@ -23,6 +23,7 @@ from soft_tendon_env.control.uncertainty import USUAL
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.options import Options, given_scene
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.policies.agent import (
     ARM,
     INTERFACE,
@@ -37,6 +38,7 @@ from soft_tendon_env.policies.agent import (
 )
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.estimators import ESTIMATORS
+from soft_tendon_env.policies.filtered_agent import FilteredAgent
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.policies.trained_arm import listed_numbers, numbers_outside, undisturbed
 from soft_tendon_env.scene.scene import Scene
@@ -96,19 +98,23 @@ class PolicyName:
         """
         path = Path(text)
         if is_agent(text):
-            return Agent(text, task)
+            return Agent(text, task, text)
         if path.suffix == ".toml" and path.is_file():
             return _tuned_controller(text, task)
         estimator, prefix = _estimator_of(text)
-        method, mark, belief = text.removeprefix(prefix).partition("@")
+        behind = text.removeprefix(prefix)
+        if prefix and is_agent(behind):
+            return Agent(text, task, behind, estimator)
+        method, mark, fidelity = behind.rpartition("@")
+        belief = None
+        if not mark:
+            method = behind
+        elif method in controllers_of(task) or (prefix and is_agent(method)):
+            belief = _checked_belief(text, fidelity)
         if method in controllers_of(task):
-            if not mark:
-                return Controller(text, task, method, estimator, None)
-            try:
-                checked_fidelity(belief)
-            except ValueError as error:
-                raise ValueError(f"policy is {text!r}: what stands behind '@' {error}") from error
             return Controller(text, task, method, estimator, belief)
+        if prefix and is_agent(method):
+            return Agent(text, task, method, estimator, belief)
         module, colon, name = text.partition(":")
         if colon and not prefix:
             return UserPolicy(text, task, module, name)
@@ -203,6 +209,15 @@ def _tuned_controller(text: str, task: str) -> "Controller":
     return named.with_parameters(tuned.parameters, text)
 
 
+def _checked_belief(text: str, fidelity: str) -> str:
+    """Fidelity behind '@' in the name of a policy. Raises ValueError."""
+    try:
+        checked_fidelity(fidelity)
+    except ValueError as error:
+        raise ValueError(f"policy is {text!r}: what stands behind '@' {error}") from error
+    return fidelity
+
+
 def _estimator_of(text: str) -> tuple[str | None, str]:
     """Name of the estimator that a policy's name begins with, and its prefix; None, "" without."""
     for name, entry in ESTIMATORS.items():
@@ -217,17 +232,28 @@ def _what_it_should_be(text: str, task: str, prefix: str, method: str) -> str:
     if usual is not None:
         controller, words = usual
         return f": it should be {prefix + controller!r}, this package's {words}"
-    expected = f"a controller of {task}; {valid_controllers(method, task)}"
-    if prefix:
-        return f": what stands behind {prefix!r} should be {expected}"
-    path = Path(text)
-    if path.suffix == ".zip":
+    path = Path(text.removeprefix(prefix))
+    if path.suffix == ".zip" and not prefix:
         return f": {ZIP.format(path=text)}"
-    agents = (
-        f"the folder of an agent (of a training: {path / BEST}), {', '.join(shipped())}, which"
-        " ship, module:name"
-    )
-    return f", no policy: it should be {agents}, or {expected}"
+    agents = f"the folder of an agent (of a training: {path / BEST}), {', '.join(shipped())}"
+    controllers = f"a controller of {task}; {valid_controllers(method, task)}"
+    if prefix:
+        return f": what stands behind {prefix!r} should be {agents}, which ship, or {controllers}"
+    return f", no policy: it should be {agents}, which ship, module:name, or {controllers}"
+
+
+def believed_model(env: Any, scene: Scene | None, fidelity: str | None) -> Model | None:
+    """Model that a controller or an estimator assumes; None: that of the environment.
+
+    Args:
+        env: the environment.
+        scene: of the model, None: that of the environment.
+        fidelity: of the model, None: that of the scene.
+    """
+    if fidelity is None and scene is None:
+        return None
+    believed = scene or episodes_of(env).model.scene
+    return build_model(believed, fidelity or AS_SCENE)
 
 
 class TunedController(Configuration):
@@ -318,10 +344,7 @@ class Controller(PolicyName):
         for name, value in self.parameters.items():
             if name.startswith(ESTIMATOR):
                 changes[name.removeprefix(ESTIMATOR)] = value
-        model = None
-        if self.belief is not None or scene is not None:
-            believed = scene or episodes_of(env).model.scene
-            model = build_model(believed, self.belief or AS_SCENE)
+        model = believed_model(env, scene, self.belief)
         uncertainty = USUAL._replace(**changes)
         return make_policy(
             self.entry,
@@ -340,8 +363,21 @@ class Controller(PolicyName):
 class Agent(PolicyName):
     """A trained agent: the name of one that ships for the task, or its folder.
 
-    "agent" stands for the best of them.
+    "agent" stands for the best of them. filtered:NAME is an agent that sees what an extended Kalman
+    filter estimates; filtered:NAME@FIDELITY one whose filter's model has another fidelity.
     """
+
+    agent: str  # its name or folder, without what stands around it
+    estimator: str | None = None
+    belief: str | None = None
+
+    @property
+    def folder(self) -> Path:
+        """Its folder.
+
+        Raises ValueError, FileNotFoundError.
+        """
+        return find_agent(self.agent, self.task)
 
     @property
     def config(self) -> AgentConfig:
@@ -349,7 +385,14 @@ class Agent(PolicyName):
 
         Raises ValueError, OSError.
         """
-        return read_config(find_agent(self.text, self.task))
+        return read_config(self.folder)
+
+    def with_folder(self, folder: Path) -> str:
+        """Name of the agent in another folder, behind the same estimator if there is one."""
+        name = str(folder)
+        if self.estimator is not None:
+            name = ESTIMATORS[self.estimator].prefix + name
+        return name if self.belief is None else f"{name}@{self.belief}"
 
     @property
     def arm(self) -> dict[str, Any]:
@@ -376,17 +419,27 @@ class Agent(PolicyName):
         return {**own, **given}
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
-        return load_agent(self.text, env, other_effects)
+        agent = load_agent(self.agent, env, other_effects)
+        return self._behind_estimator(agent, env, scene)
 
     def load_beyond_training(self, env: Any) -> Policy:
-        return load_agent(self.text, env, beyond_training=True)
+        agent = load_agent(self.agent, env, beyond_training=True)
+        return self._behind_estimator(agent, env)
+
+    def _behind_estimator(self, agent: Policy, env: Any, scene: Scene | None = None) -> Policy:
+        """The agent behind its estimator, whose model has a scene, by default the environment's."""
+        if self.estimator is None:
+            return agent
+        model = believed_model(env, scene, self.belief) or episodes_of(env).model
+        return FilteredAgent(agent, env, model, ESTIMATORS[self.estimator])
 
     def outside(self, env: Any) -> str:
         trained = Options(**self.config.options)
         return listed_numbers(numbers_outside(trained, episodes_of(env).model.scene))
 
     def fingerprint(self) -> Any:
-        return digests(find_agent(self.text, self.task))
+        files = digests(self.folder)
+        return files if self.estimator is None else [self.estimator, self.belief, files]
 
 
 @dataclass(frozen=True)
@@ -522,9 +575,10 @@ def load_policy(name: str, env: Any, objectives: Sequence[Given] | None = None) 
     See `policy_options` for these options.
 
     Args:
-        name: a controller's or filtered:NAME, with @FIDELITY behind it where its model has another
-            fidelity; an agent's folder; "agent" or another of those that ship for
-            the environment's task, see agents/trained; module:name of what makes one.
+        name: a controller's; an agent's folder, "agent" or another of those that ship for the
+            environment's task, see agents/trained; filtered:NAME, one of them behind a Kalman
+            filter; with @FIDELITY behind it where its model has another fidelity; module:name of
+            what makes one.
         env: single or vector environment of this package.
         objectives: a cost of your own, for a predictive controller alone, see `make_policy`.
 

@@ -1,7 +1,12 @@
 """Policy interface: Stable-Baselines3's `predict`, which controllers and trained agents have."""
 
 import warnings
-from typing import Any, Protocol
+from collections.abc import Sequence
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+Memory = TypeVar("Memory")
 
 STATELESS_CALLS = 10
 """Calls of `predict` in a row without state after which a warning says so: whoever asks for first
@@ -55,3 +60,20 @@ class LostState:
                 f"{text}: give it back, action, state = policy.predict(observation, state)",
                 stacklevel=3,
             )
+
+
+def memories_of(
+    rows: int, state: Sequence[Memory] | None, episode_start: Any
+) -> list[Memory | None]:
+    """Memories of rows, None of those whose episode begins.
+
+    Args:
+        rows: how many.
+        state: of all rows from the last call of `predict`, None at the beginning of episodes.
+        episode_start: (rows,) bool; None: no row begins.
+    """
+    memories: list[Memory | None] = [None] * rows if state is None else list(state)
+    if episode_start is None:
+        return memories
+    starts = np.atleast_1d(episode_start)
+    return [None if begins else memory for begins, memory in zip(starts, memories, strict=True)]

@@ -205,7 +205,7 @@ def test_controllers_believe_in_the_effects_of_a_setting_only_where_they_are_tol
         effects = [effect]
     for cell, believes in ((told, effects), (untold, [])):
         policy, envs = cell.open()
-        believed = policy.estimator.model
+        believed = policy.observer.estimator.model
         there = episodes_of(envs).model
         assert [*believed.scene.effects.chosen()] == believes
         assert [*there.scene.effects.chosen()] == effects

@@ -10,6 +10,7 @@ import pytest
 from soft_tendon_env.control import ControllerOutput, Shape, TipPose, TipPosition
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env
+from soft_tendon_env.policies.arm_observer import ArmObserver
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, make_policy
 from soft_tendon_env.policies.names import policy_options
 from soft_tendon_env.policies.protocol import STATELESS_CALLS
@@ -168,12 +169,11 @@ def test_observations_that_say_too_little_are_refused():
         match="observation.*lacks tip_rotation, rates, target_error, preview, which Probe needs",
     ):
         probed(blind)
+    env = short("single", IDS["TipPose"])
+    estimator = SimpleNamespace(needs=("strain", "strain_rate"), history=0)
+    observer = ArmObserver(env.unwrapped.episodes, estimator)
     with pytest.raises(ConfigurationError, match="lacks strain"):
-        ControllerPolicy(
-            probe,
-            short("single", IDS["TipPose"]),
-            estimator=SimpleNamespace(needs=("strain", "strain_rate"), history=0),
-        )
+        ControllerPolicy(probe, env, observer=observer)
 
 
 @pytest.mark.parametrize("preview", [(0.04, 0.02), (0.02, 0.02), (0.02, 0.021)])

@@ -52,7 +52,8 @@ def position_error(env, policy, seed=0, skip=1.0):
 )
 def test_another_arm_than_is_believed_in_is_tracked(regime, name, most):
     env, policy = made(name, regime=regime)
-    assert policy.estimator.model.coordinate_count < env.unwrapped.episodes.model.coordinate_count
+    believed = policy.observer.estimator.model
+    assert believed.coordinate_count < env.unwrapped.episodes.model.coordinate_count
     assert position_error(env, policy) < most
 
 
@@ -68,7 +69,7 @@ def test_a_latency_that_nobody_told_is_found_and_made_up_for(latency):
     for _ in range(100):
         action, state = policy.predict(observation, state)
         observation, *_ = env.step(action)
-    assert state[0].estimate.timing.latency == pytest.approx(latency, abs=0.01)
+    assert state[0].arm.estimate.timing.latency == pytest.approx(latency, abs=0.01)
 
 
 @pytest.mark.slow
@@ -208,5 +209,5 @@ def test_an_arm_that_does_not_rest_straight_is_where_exact_sensors_say(more, opt
     for _ in range(10):
         arm = env.unwrapped.state
         action, state = policy.predict(observation, state)
-        assert abs((state[0].estimate.q - arm.q) / scale).max() < 1e-5
+        assert abs((state[0].arm.estimate.q - arm.q) / scale).max() < 1e-5
         observation, *_ = env.step(action)

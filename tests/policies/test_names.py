@@ -5,7 +5,10 @@ import pytest
 from soft_tendon_env.policies.names import Agent, Controller, PolicyName, UserPolicy
 
 AGENTS = "agent, apg, apg_obstacles, apg_water, dagger, "
-BEHIND = "what stands behind 'filtered:' should be a controller of TipPose; .*valid: .*predictive"
+BEHIND = (
+    "what stands behind 'filtered:' should be the folder of an agent .*, or a controller of"
+    " TipPose; .*valid: .*predictive"
+)
 
 
 @pytest.fixture
@@ -37,7 +40,9 @@ def here(tmp_path, monkeypatch):
         ("agent", Agent, {}),
         ("dagger", Agent, {}),
         ("agent_1", Agent, {}),
-        ("run/best", Agent, {}),
+        ("run/best", Agent, {"agent": "run/best", "estimator": None}),
+        ("filtered:apg", Agent, {"agent": "apg", "estimator": "kalman", "belief": None}),
+        ("filtered:run/best@fast", Agent, {"agent": "run/best", "belief": "fast"}),
         ("os.path:join", UserPolicy, {"module": "os.path", "name": "join"}),
     ],
 )
@@ -65,7 +70,9 @@ def test_every_name_is_one_of_three(here, text, kind, known):
         ),
         ("os:nothing", "should be module:name of what makes a policy"),
         ("filtered:predictive@coarse", "stands behind '@' should be 'fast', 'standard', 'fine'"),
-        *((f"filtered:{name}", BEHIND) for name in ("apg", "run/best", "seeds", "nobody")),
+        ("filtered:apg@coarse", "stands behind '@' should be 'fast', 'standard', 'fine'"),
+        ("apg@fast", "policy is 'apg@fast', no policy"),
+        *((f"filtered:{name}", BEHIND) for name in ("run", "seeds", "nobody", "nobody@fast")),
         (
             "run/model.zip",
             (
