@@ -109,6 +109,10 @@ UNKNOWN = (
 these will be when a command arrives is not observed."""
 
 
+TOLD_BY = {"preview": "target_error", "target_pose": "target_error", "pose_preview": "preview"}
+"""Groups of targets, and those that tell where these targets are."""
+
+
 class RowMemory(NamedTuple):
     """State of a filtered agent for one row, from one call of `predict` to the next."""
 
@@ -179,6 +183,9 @@ class FilteredAgent:
             )
         missing = [group for group in TIP if group not in groups]
         missing += missing_groups(self.observer, groups)
+        for group, needed in TOLD_BY.items():
+            if group in groups and needed not in groups:
+                missing.append(needed)
         if missing:
             raise ValueError(
                 f"the agent does not observe {', '.join(missing)}, which the state estimator needs"
@@ -212,7 +219,11 @@ class FilteredAgent:
             if memory is None:
                 _, command, arm_memory = self.observer.begin(groups)
                 memory = RowMemory(command, arm_memory, None)
-            reference = protocol.Reference(self._ahead, None if targets is None else targets[row])
+            reference = protocol.Reference(self._ahead[:0])
+            if targets is not None:
+                # times of a preview are there also where it is not observed
+                told = self._ahead[: len(targets[row])]
+                reference = protocol.Reference(told, targets[row])
             with one_thread():  # matrices are small
                 sight = self.observer.look(
                     groups, poses[row], reference, memory.command, memory.arm
@@ -252,10 +263,10 @@ class FilteredAgent:
             frames: of the periods before, None when an episode begins.
         """
         reference = arm.reference
-        if reference.tip_pose is None:
-            targets = np.empty((0, 4, 4))
-        else:
-            told = [pose_at(reference.ahead, reference.tip_pose, time) for time in self._ahead]
+        targets = np.empty((0, 4, 4))
+        if reference.tip_pose is not None:
+            times = self._ahead[: len(reference.ahead)]
+            told = [pose_at(reference.ahead, reference.tip_pose, time) for time in times]
             targets = np.array(told)
         estimated = Estimated(
             self._model, arm.tip_pose, arm.q, arm.q_dot, self._sensors, self._rest, targets
