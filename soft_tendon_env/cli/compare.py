@@ -18,7 +18,7 @@ from soft_tendon_env.tools.parallel import check_cluster
 
 POLICIES = (
     'names of controllers, "all" of them, agent, ppo, sac, dagger or apg (which ship), folders of'
-    " agents, or folders of runs"
+    " agents, any of these behind filtered:, or folders of runs"
 )
 
 

@@ -44,7 +44,7 @@ PUBLISHED = "published"
 
 POLICY = (
     "a controller's name; an agent's folder; ppo, sac, dagger or apg, which ship for the task;"
-    " agent, the best of these"
+    " agent, the best of these; filtered: before any of them, a Kalman filter"
 )
 TASK = "name of the task: TipPose, Shape, Reach, or one that was registered"
 
