@@ -29,8 +29,8 @@ from soft_tendon_env.robots.simulated import OF_ARM
 from soft_tendon_env.tools.messages import UserError
 
 POLICY = (
-    "a controller's name behind filtered:; an agent's folder, or agent, ppo, sac, dagger, apg, alone"
-    " or behind filtered:; module:name"
+    "a controller's name behind filtered:; an agent's folder, or agent, ppo, sac, dagger, apg,"
+    " alone or behind filtered:; module:name"
 )
 
 

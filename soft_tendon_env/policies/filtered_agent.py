@@ -13,7 +13,7 @@ import numpy as np
 from soft_tendon_env.control import protocol
 from soft_tendon_env.control.diagnosis import Diagnosis
 from soft_tendon_env.control.rigid_motions import inverse_pose, pose_at, pose_error
-from soft_tendon_env.control.uncertainty import USUAL, Uncertainty
+from soft_tendon_env.control.uncertainty import USUAL
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.observation import HISTORY, RestValues, changes_of
 from soft_tendon_env.envs.tasks import TIP
@@ -107,8 +107,6 @@ UNKNOWN = (
 )
 """Groups of coordinates, with which no estimator is needed, and of targets that are shapes: where
 these will be when a command arrives is not observed."""
-
-
 TOLD_BY = {"preview": "target_error", "target_pose": "target_error", "pose_preview": "preview"}
 """Groups of targets, and those that tell where these targets are."""
 
@@ -129,6 +127,15 @@ class FilteredMemory(NamedTuple):
     rows: tuple[RowMemory, ...]
 
 
+class Look(NamedTuple):
+    """Arm of a row in a control period, before the agent has acted."""
+
+    memory: RowMemory  # of the period before
+    estimate: protocol.Estimate  # now
+    tip_position: Array  # (3,) [m] when the command arrives
+    frames: Array | None  # of the next memory
+
+
 class FilteredAgent:
     """Trained agent that sees the arm as a state estimator finds it, for one row or many.
 
@@ -137,21 +144,13 @@ class FilteredAgent:
         env: its environment.
         model: of the arm, as the estimator believes it to be.
         estimator: of ESTIMATORS.
-        uncertainty: process noise and first uncertainty of a Kalman filter.
 
     Raises:
         TypeError: the environment is of another package.
         ValueError: commands are no tensions, or the agent observes what an estimator cannot give.
     """
 
-    def __init__(
-        self,
-        agent: Policy,
-        env: Any,
-        model: Model,
-        estimator: EstimatorEntry,
-        uncertainty: Uncertainty = USUAL,
-    ) -> None:
+    def __init__(self, agent: Policy, env: Any, model: Model, estimator: EstimatorEntry) -> None:
         """Makes the policy for the environment."""
         episodes = episodes_of(env)
         self.agent = agent
@@ -163,7 +162,7 @@ class FilteredAgent:
         self._lost = LostState("the state estimator")
         believed, known = believed_arm(model)
         self._model = believed
-        self.observer = make_observer(episodes, believed, known, estimator, uncertainty)
+        self.observer = make_observer(episodes, believed, known, estimator, USUAL)
         self._check(episodes)
 
     def _check(self, episodes: Episodes) -> None:
@@ -212,37 +211,27 @@ class FilteredAgent:
         targets = target_poses(values, poses)
         before = memories_of(len(rows), None if state is None else state.rows, episode_start)
         seen = rows.astype(np.float64)
-        positions = []
         looks = []
         for row, memory in enumerate(before):
             groups = {name: value[row] for name, value in values.items()}
-            if memory is None:
-                _, command, arm_memory = self.observer.begin(groups)
-                memory = RowMemory(command, arm_memory, None)
-            reference = protocol.Reference(self._ahead[:0])
-            if targets is not None:
-                # times of a preview are there also where it is not observed
-                told = self._ahead[: len(targets[row])]
-                reference = protocol.Reference(told, targets[row])
+            target = None if targets is None else targets[row]
             with one_thread():  # matrices are small
-                sight = self.observer.look(
-                    groups, poses[row], reference, memory.command, memory.arm
-                )
-                frames = self._replace(seen[row], sight.arrival, memory.frames)
-            positions.append(sight.arrival.tip_pose[:3, 3])
-            looks.append((memory, sight.estimate, frames))
+                look = self._look(seen[row], groups, poses[row], target, memory)
+            looks.append(look)
         shown: Any = seen.reshape(np.shape(flat)).astype(np.float32)
         if is_dict:
             goal = observation["achieved_goal"]
+            positions = [look.tip_position for look in looks]
             tip = np.reshape(positions, goal.shape).astype(goal.dtype)
             shown = {**observation, "observation": shown, "achieved_goal": tip}
         of_agent = None if state is None else state.agent
         action, of_agent = self.agent.predict(shown, of_agent, episode_start, deterministic)
         after = []
-        for (memory, estimate, frames), wanted in zip(looks, np.atleast_2d(action), strict=True):
-            command = self._actions.command(wanted.astype(np.float64), memory.command)
-            arm = self.observer.remember(memory.arm, estimate, command)
-            after.append(RowMemory(command, arm, frames))
+        for look, wanted in zip(looks, np.atleast_2d(action), strict=True):
+            last = look.memory
+            command = self._actions.command(wanted.astype(np.float64), last.command)
+            arm = self.observer.remember(last.arm, look.estimate, command)
+            after.append(RowMemory(command, arm, look.frames))
         return action, FilteredMemory(of_agent, tuple(after))
 
     def estimate(self, state: FilteredMemory) -> tuple[Diagnosis, ...]:
@@ -251,6 +240,35 @@ class FilteredAgent:
         See `ControllerPolicy.estimate`.
         """
         return self.observer.diagnoses(tuple(memory.arm for memory in state.rows))
+
+    def _look(
+        self,
+        seen: Array,
+        groups: dict[str, Array],
+        pose: Array,
+        target: Array | None,
+        memory: RowMemory | None,
+    ) -> Look:
+        """Estimates an arm, and writes the estimate over what is observed of it.
+
+        Args:
+            seen: the observation (size,), which changes.
+            groups: the same by group.
+            pose: measured (4, 4).
+            target: poses (1 + previews, 4, 4) now and ahead, None without.
+            memory: of the row, None when an episode begins.
+        """
+        if memory is None:
+            _, command, arm = self.observer.begin(groups)
+            memory = RowMemory(command, arm, None)
+        reference = protocol.Reference(self._ahead[:0])
+        if target is not None:
+            # times of a preview are there also where it is not observed
+            reference = protocol.Reference(self._ahead[: len(target)], target)
+        sight = self.observer.look(groups, pose, reference, memory.command, memory.arm)
+        arrival = sight.arrival
+        frames = self._replace(seen, arrival, memory.frames)
+        return Look(memory, sight.estimate, arrival.tip_pose[:3, 3], frames)
 
     def _replace(
         self, row: Array, arm: protocol.ControllerInput, frames: Array | None
