@@ -95,6 +95,19 @@ def scaled_errors(model, estimates, q, q_dot):
     )
 
 
+@pytest.mark.parametrize(
+    ("noise", "is_estimated"),
+    [
+        (SensorNoise(length=0.0005), False),
+        (SensorNoise(position=0.002), True),
+        (SensorNoise(rotation=0.01), True),
+    ],
+)
+def test_an_exact_pose_is_not_estimated(noise, is_estimated, model):
+    estimates, *_ = live(filter_of(model, noise=noise), model, 3)
+    assert all((estimate.tip_pose is not None) == is_estimated for estimate in estimates)
+
+
 @pytest.mark.parametrize("uses", [("tendon_length",), ("tendon_length", "strain"), EVERYTHING])
 def test_the_state_is_found_from_where_it_was_not_believed_to_be(uses, model):
     start = model.rest_coordinates(np.array([1.0, 0.0, 0.5]))
