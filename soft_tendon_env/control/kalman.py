@@ -124,8 +124,8 @@ class ExtendedKalmanFilter:
             last: estimate of the period before, None when an episode begins.
 
         Returns:
-            Coordinates and rates, errors of inputs and forces; the tip's pose where its sensors
-            have noise, and the timing of commands if it is estimated.
+            Coordinates and rates, errors of inputs and forces; the tip's pose, as it is measured
+            where its sensors are exact, and the timing of commands if it is estimated.
         """
         belief = None
         if last is not None:
@@ -137,7 +137,7 @@ class ExtendedKalmanFilter:
             belief = self._begin(measured)
         mean = belief.mean
         q, q_dot = self.space.coordinates(mean)
-        tip_pose = None
+        tip_pose = measured.tip_pose
         if not self._is_pose_exact:
             displacement = mean[self.space.layout.tip]
             tip_pose = moved_pose(belief.locality.terms.tip_pose, displacement)
