@@ -47,7 +47,6 @@ def knowing(env, latency=0.0):
         history = 1
 
         def estimate(self, measured, last):
-            self.measured = measured
             return SimpleNamespace(
                 q=arm.q[0].copy(),
                 q_dot=arm.q_dot[0].copy(),
@@ -59,8 +58,7 @@ def knowing(env, latency=0.0):
                 surprise=0.0,
             )
 
-    told = Told()
-    return EstimatorEntry("told:", lambda model, setting: told, Timing(0.06, 0.0)), told
+    return EstimatorEntry("told:", lambda model, setting: Told(), Timing(0.06, 0.0))
 
 
 def made(groups=tuple(ESTIMATED), task="TipPose", **options):
@@ -79,7 +77,7 @@ def test_what_an_agent_sees_of_a_state_that_is_known_is_what_is_observed():
     """All groups, and their history."""
     env = made(history=3)
     spy = Spy()
-    entry, told = knowing(env)
+    entry = knowing(env)
     policy = FilteredAgent(spy, env, env.unwrapped.episodes.model, entry)
     observation, _ = env.reset(seed=1)
     state = None
@@ -98,7 +96,7 @@ def test_an_agent_sees_the_arm_where_its_command_will_find_it():
     groups = ("tip_position", "tip_rotation", *TOLD, "target_error", "target_pose", "preview")
     env = made(groups, preview=[0.02, 0.04], randomize={"latency": 0.04})
     spy = Spy()
-    entry, _ = knowing(env, 0.04)
+    entry = knowing(env, 0.04)
     policy = FilteredAgent(spy, env, env.unwrapped.episodes.model, entry)
     observation, _ = env.reset(seed=1)
     observed = []
@@ -118,7 +116,7 @@ def test_an_agent_sees_the_arm_where_its_command_will_find_it():
 def test_a_target_that_is_not_told_ahead_stays_where_it_is():
     env = made(("tip_position", "tip_rotation", *TOLD, "target_error"))
     spy = Spy()
-    entry, _ = knowing(env)
+    entry = knowing(env)
     policy = FilteredAgent(spy, env, env.unwrapped.episodes.model, entry)
     observation, _ = env.reset(seed=1)
     policy.predict(observation)
@@ -128,7 +126,7 @@ def test_a_target_that_is_not_told_ahead_stays_where_it_is():
 def test_goals_are_reached_from_where_the_tip_is_estimated():
     env = made(("tip_position", "tip_rotation", *TOLD), task="Reach", target=None, preview=[])
     spy = Spy()
-    entry, _ = knowing(env)
+    entry = knowing(env)
     policy = FilteredAgent(spy, env, env.unwrapped.episodes.model, entry)
     observation, _ = env.reset(seed=1)
     moved = {**observation, "achieved_goal": observation["achieved_goal"] + 0.1}
