@@ -67,20 +67,19 @@ class Estimated(NamedTuple):
         rates = slope @ self.q_dot
         return rates.ravel()
 
-    @property
-    def errors(self) -> Array:
-        """Ways log(g^-1 g_bar) (1 + previews, 6) from the tip to its targets."""
-        return np.array([pose_error(self.tip_pose, target) for target in self.targets])
+    def errors(self, targets: Array) -> Array:
+        """Ways log(g^-1 g_bar) (6 k,) from the tip to targets (k, 4, 4)."""
+        ways = [pose_error(self.tip_pose, target) for target in targets]
+        return np.array(ways).ravel()
 
-    @property
-    def targets_from_tip(self) -> Array:
-        """Targets as the tip sees them (1 + previews, 9).
+    def seen_from_tip(self, targets: Array) -> Array:
+        """Targets (k, 4, 4) as the tip sees them (9 k,).
 
         They are position and first two columns of the rotation.
         """
-        seen = inverse_pose(self.tip_pose) @ self.targets
+        seen = inverse_pose(self.tip_pose) @ targets
         columns = seen[:, :3, [3, 0, 1]]
-        return columns.swapaxes(1, 2).reshape(-1, 9)
+        return columns.swapaxes(1, 2).ravel()
 
 
 ESTIMATED: Mapping[str, Callable[[Estimated], Array]] = {
@@ -90,10 +89,10 @@ ESTIMATED: Mapping[str, Callable[[Estimated], Array]] = {
     "tendon_lengths": lambda arm: arm.tendon_length,
     "strain": lambda arm: arm.strain,
     "strain_rate": lambda arm: arm.strain_rate,
-    "target_error": lambda arm: arm.errors[0],
-    "preview": lambda arm: arm.errors[1:].ravel(),
-    "target_pose": lambda arm: arm.targets_from_tip[0],
-    "pose_preview": lambda arm: arm.targets_from_tip[1:].ravel(),
+    "target_error": lambda arm: arm.errors(arm.targets[:1]),
+    "preview": lambda arm: arm.errors(arm.targets[1:]),
+    "target_pose": lambda arm: arm.seen_from_tip(arm.targets[:1]),
+    "pose_preview": lambda arm: arm.seen_from_tip(arm.targets[1:]),
 }
 """Observation groups that an agent sees as they are estimated, in SI units. Others stay as they are
 observed: those that no state tells, and groups of a user's own."""
