@@ -58,8 +58,8 @@ class BenchmarkPolicy(Configuration):
     Attributes:
         policy: a controller with a state estimator, such as filtered:predictive or
             filtered:tracking@fast; the folder of an agent, or agent, ppo, sac, dagger or apg, of
-            those that ship, alone or behind filtered:; a folder of runs of `soft-tendon sweep`;
-            or `module:name`.
+            those that ship, or a folder of runs of `soft-tendon sweep`, each alone or behind
+            filtered:; or `module:name`.
         name: in tables, by default `policy`.
         told: the model of a controller includes the effects of the setting, with the numbers of
             `Condition.scene`, not those that an episode draws: fluid at rest, no load where loads

@@ -10,7 +10,7 @@ from typing import Any
 
 from soft_tendon_env.control import controllers_of
 from soft_tendon_env.policies.agent import is_agent
-from soft_tendon_env.policies.names import ALL, BEST, Agent, Controller, PolicyName
+from soft_tendon_env.policies.names import ALL, BEST, Agent, Controller, PolicyName, split_name
 from soft_tendon_env.tools.files import read_json
 
 SEED = re.compile(r"seed_(\d+)")
@@ -31,8 +31,11 @@ def agents_of(task: str, names: Sequence[str]) -> dict[str, dict[int | None, str
             every.append(name)
     agents = dict[str, dict[int | None, str]]()
     for name in every:
-        agents[name] = seed_files(Path(name), task)
-        if not agents[name]:
+        before, folder, behind = split_name(name)
+        runs = seed_files(Path(folder), task)
+        if runs:
+            agents[name] = {seed: f"{before}{run}{behind}" for seed, run in runs.items()}
+        else:
             agent = PolicyName.parse(name, task)
             agents[name] = {None: agent.text}
     return agents

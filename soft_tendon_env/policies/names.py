@@ -226,6 +226,20 @@ def _estimator_of(text: str) -> tuple[str | None, str]:
     return None, ""
 
 
+def split_name(text: str) -> tuple[str, str, str]:
+    """Parts of a policy's name: what stands before a controller or agent, it, and what is behind.
+
+    The first is "filtered:" or "", the last "@" with a fidelity or "". The parts make up the name.
+    """
+    _, prefix = _estimator_of(text)
+    behind = text.removeprefix(prefix)
+    method, mark, fidelity = behind.rpartition("@")
+    is_folder = Path(behind).is_dir()  # whose name may have an "@" too
+    if not mark or is_folder:
+        return prefix, behind, ""
+    return prefix, method, mark + fidelity
+
+
 def _what_it_should_be(text: str, task: str, prefix: str, method: str) -> str:
     """End of the message on a name that no policy has: what it should be."""
     usual = USUAL_NAMES.get(method.lower())
@@ -389,10 +403,8 @@ class Agent(PolicyName):
 
     def with_folder(self, folder: Path) -> str:
         """Name of the agent in another folder, behind the same estimator if there is one."""
-        name = str(folder)
-        if self.estimator is not None:
-            name = ESTIMATORS[self.estimator].prefix + name
-        return name if self.belief is None else f"{name}@{self.belief}"
+        before, _, behind = split_name(self.text)
+        return f"{before}{folder}{behind}"
 
     @property
     def arm(self) -> dict[str, Any]:

@@ -31,6 +31,13 @@ def test_seeds_of_a_training_are_the_best_agents_of_its_runs(runs):
     assert agents_of("TipPose", [str(runs), "ppo"])["ppo"] == {None: "ppo"}
 
 
+def test_seeds_of_a_training_stand_behind_the_same_filter(runs):
+    name = f"filtered:{runs}@fast"
+    by_seed = agents_of("TipPose", [name])[name]
+    assert by_seed[10] == f"filtered:{runs / 'seed_10' / 'best'}@fast"
+    assert list(by_seed) == [2, 10]
+
+
 def test_a_run_without_its_best_agent_is_refused(runs):
     (runs / "seed_2" / "best").rmdir()
     message = re.escape("seed_2 has no agent in best")
