@@ -32,7 +32,7 @@ from soft_tendon_env.evaluation.tables import (
     record_table,
 )
 from soft_tendon_env.policies.agent import IN_REPOSITORY, INTERFACE, lacks_seeds
-from soft_tendon_env.policies.names import Agent, Controller, PolicyName
+from soft_tendon_env.policies.names import Agent, Controller, PolicyName, split_name
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
@@ -153,7 +153,8 @@ class Benchmark(Workers):
         for entrant in self.entrants:
             try:
                 cells |= dict(self._cells_of(entrant))
-                if lacks_seeds(entrant.policy, self.task):
+                _, agent, _ = split_name(entrant.policy)
+                if lacks_seeds(agent, self.task):
                     of_one_seed.append(entrant.name)
             except (ValueError, OSError) as error:
                 notes.append(f"{entrant.name} is left out: {error}")

@@ -61,8 +61,12 @@ def _drawn(randomize: Randomization, scene: Scene) -> Iterator[str]:
         ending = KINDS[drawn.kind]
         share = _share(randomize, drawn.name)
         yield f"  {_name(drawn)}: {drawn.least:g} to {drawn.greatest:g}{ending}{share}"
+    nothing_drawn = Randomization()
     for name in OF_ACTUATORS:
-        least, greatest = getattr(randomize, name)
+        limits = getattr(randomize, name)
+        if limits == getattr(nothing_drawn, name):
+            continue
+        least, greatest = limits
         yield f"  {name}: {least:g} to {greatest:g}{_share(randomize, name)}"
     deviations = []
     for name, value in randomize.noise.model_dump().items():

@@ -126,10 +126,11 @@ def test_a_wheel_says_where_other_seeds_are(tmp_path, monkeypatch):
     shipped = agent.trained_folder()
     shutil.copytree(shipped, tmp_path / "trained", ignore=shutil.ignore_patterns("seed_*"))
     monkeypatch.setattr(agent, "trained_folder", lambda: tmp_path / "trained")
-    in_wheel, notes = benchmark("ppo", "apg", scene="paper", regimes=("state",)).cells()
+    entrants = ("ppo", "filtered:apg")
+    in_wheel, notes = benchmark(*entrants, scene="paper", regimes=("state",)).cells()
     assert {label.seed for label in in_wheel} == {None}
     (note,) = notes
-    assert note.startswith("ppo, apg: other seeds of the training are not in a wheel")
+    assert note.startswith("ppo, filtered:apg: other seeds of the training are not in a wheel")
     assert "agents/trained of the repository: clone it" in note
     shutil.rmtree(tmp_path / "trained" / "dagger" / "TipPose")
     for name in ("apg_water", "apg_obstacles"):
