@@ -29,7 +29,7 @@ IDENTIFY = (
     "markers.toml",
     "--parameters",
 )
-AGENTS = "agent, apg, apg_obstacles, apg_water, dagger, ppo, sac"
+AGENTS = "agent, apg, apg_filtered, apg_obstacles, apg_water, dagger, ppo, sac"
 OPTIONS = [
     ("trian", "'trian' is no command: did you mean 'train'?"),
     ("evaluate", "Missing from soft-tendon evaluate: POLICY a controller's name"),

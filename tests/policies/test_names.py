@@ -4,7 +4,7 @@ import pytest
 
 from soft_tendon_env.policies.names import Agent, Controller, PolicyName, UserPolicy
 
-AGENTS = "agent, apg, apg_obstacles, apg_water, dagger, "
+AGENTS = "agent, apg, apg_filtered, apg_obstacles, apg_water, dagger, "
 BEHIND = (
     "what stands behind 'filtered:' should be the folder of an agent .*, or a controller of"
     " TipPose; .*valid: .*predictive"
