@@ -102,18 +102,15 @@ class PolicyName:
         if path.suffix == ".toml" and path.is_file():
             return _tuned_controller(text, task)
         estimator, prefix = _estimator_of(text)
-        behind = text.removeprefix(prefix)
-        if prefix and is_agent(behind):
-            return Agent(text, task, behind, estimator)
-        method, mark, fidelity = behind.rpartition("@")
+        _, method, behind = split_name(text)
+        is_controller = method in controllers_of(task)
+        is_filtered_agent = bool(prefix) and is_agent(method)
         belief = None
-        if not mark:
-            method = behind
-        elif method in controllers_of(task) or (prefix and is_agent(method)):
-            belief = _checked_belief(text, fidelity)
-        if method in controllers_of(task):
+        if behind and (is_controller or is_filtered_agent):
+            belief = _checked_belief(text, behind.removeprefix("@"))
+        if is_controller:
             return Controller(text, task, method, estimator, belief)
-        if prefix and is_agent(method):
+        if is_filtered_agent:
             return Agent(text, task, method, estimator, belief)
         module, colon, name = text.partition(":")
         if colon and not prefix:
